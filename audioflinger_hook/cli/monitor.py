@@ -20,9 +20,8 @@ from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError, not_installed
 
 OPENER = "page.html"
-"""A file, readable only by the user, that redirects a browser to the page. The browser's arguments
-name this file instead of the address with the token, because other users can read the arguments.
-"""
+"""A private file that redirects a browser to the page. The browser's arguments, which other users
+can read, name this file instead of the address with the token."""
 
 
 def run(options: argparse.Namespace) -> int:

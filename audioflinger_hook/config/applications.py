@@ -53,11 +53,6 @@ class ApplicationRule(Described):
     ] = None
 
     @property
-    def chosen(self) -> dict[str, Any]:
-        """The values that differ from the defaults, by key."""
-        return {n: v for n, v in vars(self).items() if v != self.defaults().get(n)}
-
-    @property
     def rule(self) -> Rule:
         """The parsed pattern."""
         return Rule.parse(self.match)

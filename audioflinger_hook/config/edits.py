@@ -1,7 +1,7 @@
 """Applies edits (new values of config keys) to a parsed config, its text, or a new config.
 
 Edits are keyed by the name of a config key: `key` or `section.key`. The value None removes the key.
-An edit of an [[application]] rule is keyed by `rule_key`. Its value has all keys except `match`.
+`RULE` and a name are the key of an [[application]] rule, whose value has all keys except `match`.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from device.values import Text, nearest
 
 Edits = Mapping[str, Any]
 
+RULE = f"{APPLICATION}:"
 UNDO_MAX = 100  # largest number of changes that can be undone
 
 EDITABLE = {  # keys that may be changed while the daemon runs
@@ -40,21 +41,11 @@ def editable(name: str) -> Key:
     return EDITABLE[name]
 
 
-def rule_key(match: str) -> str:
-    """Return the key of an edit of the [[application]] rule for `match`."""
-    return f"{APPLICATION}[{match.strip()}]"
-
-
-def rule_match(name: str) -> str:
-    """Return the `match` of an edit's key from `rule_key`; "" for other keys."""
-    return name[len(APPLICATION) + 1 : -1] if name.startswith(f"{APPLICATION}[") else ""
-
-
 def apply_edits(document: MutableMapping[str, Any], edits: Edits) -> None:
     """Change a parsed config in place."""
     for name, value in edits.items():
-        if match := rule_match(name):
-            _apply_rule(document, match, value)
+        if match := name.partition(RULE)[2]:
+            _apply_rule(document, match.strip(), value)
             continue
         section, _, key = name.rpartition(".")
         table = document
@@ -75,28 +66,27 @@ def _apply_rule(document: MutableMapping[str, Any], match: str, rule: Edits | No
     if index is None:
         if rule is not None and isinstance(rules, list):  # else `check` reports it
             document[APPLICATION] = [*rules, {"match": match, **rule}]
-    elif rule is None:
-        del rules[index]
-        if not rules:
-            del document[APPLICATION]
-    else:
+    elif rule is not None:
         for name in rules[index].keys() - rule.keys() - {"match"}:
             del rules[index][name]
         rules[index].update({n: v for n, v in rule.items() if rules[index].get(n) != v})
+    elif rules[1:]:
+        del rules[index]
+    else:
+        del document[APPLICATION]
 
 
 def _rule_index(document: Mapping[str, Any], match: str) -> int | None:
     found = document.get(APPLICATION)
-    for index, rule in enumerate(found if isinstance(found, list) else ()):
-        own = rule.get("match") if isinstance(rule, Mapping) else None
-        if isinstance(own, str) and own.strip().casefold() == match.casefold():
-            return index
-    return None
+    rules = found if isinstance(found, list) else []
+    names = [str(one.get("match")) if isinstance(one, Mapping) else "" for one in rules]
+    known = [name.strip().casefold() for name in names]
+    return known.index(match.casefold()) if match.casefold() in known else None
 
 
 def _with_rules(text: str, edits: Edits) -> str:
     """Add and remove lines of [[application]] tables, so that all comments stay in place."""
-    for match, rule in ((rule_match(name), rule) for name, rule in edits.items()):
+    for match, rule in ((name.partition(RULE)[2].strip(), rule) for name, rule in edits.items()):
         if not match:
             continue
         document, lines = tomllib.loads(text), (text and text.rstrip("\n") + "\n").split("\n")
@@ -192,14 +182,7 @@ class LiveEdits:
     def __init__(self, path: Path) -> None:
         self._path = path
         self.values: dict[str, Any] = {}
-        self._saved: dict[str, Any] = {}
         self._undo: deque[dict[str, Any]] = deque(maxlen=UNDO_MAX)  # values before each change
-
-    @property
-    def unsaved(self) -> frozenset[str]:
-        """The names of edited keys whose values are not in the file."""
-        kept = {name for name, value in self.values.items() if (name, value) in self._saved.items()}
-        return frozenset(self.values.keys() - kept)
 
     @property
     def undo_count(self) -> int:
@@ -222,16 +205,14 @@ class LiveEdits:
         self.values = self.without_last()
         self._undo.pop()
 
-    def in_file(self) -> dict[str, Any]:
-        """Return what the file says of each unsaved key, None if it does not have the key.
-
-        UsageError: the file cannot be read.
-        """
+    def unsaved(self) -> dict[str, Any]:
+        """Return what the file says of each key with another value; None: it lacks the key."""
         try:
-            document = tomllib.loads(text_of(self._path, or_empty=True)) if self.unsaved else {}
-        except ValueError as error:
-            raise UsageError(f"the config file is not TOML ({error})") from error
-        return {name: _value(document, name) for name in self.unsaved}
+            document = tomllib.loads(text_of(self._path, or_empty=True)) if self.values else {}
+        except (ValueError, UsageError):  # saving will say what is wrong with the file
+            return dict.fromkeys(self.values)
+        edits = {n: [*v] if isinstance(v, tuple) else v for n, v in self.values.items()}
+        return {n: old for n, v in edits.items() if (old := _value(document, n)) != v}
 
     def save(self) -> None:
         """Write the edits to the config file. UsageError, InternalError: it cannot be changed."""
@@ -240,7 +221,6 @@ class LiveEdits:
         if changed != text:
             make_private_folder(self._path.parent)
             write_bytes_atomically(self._path, changed.encode())
-        self._saved = dict(self.values)
         # The file now holds the edits, so undoing an edit must restore the file's earlier value.
         document = tomllib.loads(text)
         before = {name: _value(document, name) for name in self.values}
@@ -248,8 +228,8 @@ class LiveEdits:
 
 
 def _value(document: dict[str, Any], name: str) -> Any:
-    if match := rule_match(name):
-        index = _rule_index(document, match)
+    if match := name.partition(RULE)[2]:
+        index = _rule_index(document, match.strip())
         rule = {} if index is None else document[APPLICATION][index]
         return {key: value for key, value in rule.items() if key != "match"} if rule else None
     section, _, key = name.rpartition(".")

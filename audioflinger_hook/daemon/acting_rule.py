@@ -42,14 +42,13 @@ class ActingRule:
             self._count += 1
             self._began[index] = self._count
         microphones = microphones_of(snapshot)
-        rules = [
-            (one.rule, one) for one in config.live.application_rules if one.profile or one.gain_db
-        ]
+        rules = [(r.rule, r) for r in config.live.application_rules if r.profile or r.gain_db]
         for index in sorted(self._began, key=self._began.__getitem__, reverse=True):
             stream = playing[index]
             if config.left_out.why(stream, microphones):
                 continue
-            if rule := first_match(rules, stream):
+            rule: ApplicationRule | None = first_match(rules, stream)
+            if rule is not None:
                 return rule
         return None
 

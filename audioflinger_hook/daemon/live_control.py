@@ -3,9 +3,7 @@
 Values are checked like values of the config file. A request has one of these forms:
 
     "set": {"gain_db": -6.0}                   change keys of the config; null sets the default
-    "application": {"match": "Firefox", "feel": false}
-                                               change the [[application]] rule of this name:
-                                               feel, profile or gain_db; null removes a value
+    "application": {"match": "mpv", "feel": false}    change its rule; null removes a value
     "mute": true                               mute the vibration; false ends the mute
     "tone": {"hz": 60, "level": 0.2}           start the test tone; null stops the tone
     "sync": {"try_ms": 120}                    play an offset on trial; null ends the trial
@@ -27,7 +25,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from audioflinger_hook.config.allowed_now import allowed_now
-from audioflinger_hook.config.edits import EDITABLE, LiveEdits, editable, rule_key, rule_match
+from audioflinger_hook.config.edits import EDITABLE, RULE, LiveEdits, editable
 from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from audioflinger_hook.config.schema import CHANGES, Key
 from audioflinger_hook.config.settings import LiveSettings, Settings
@@ -186,11 +184,12 @@ class LiveControl:
         present: dict[str, Any] = {}
         for one in live.application_rules:
             if one.match.strip().casefold() == match.casefold():
-                match, present = one.match, one.chosen
+                match, present = one.match, vars(one)
         if False in (given.get("feel"), present.get("feel")):  # contradicts the other keys
             present = {}
-        rule = {n: v for n, v in {**present, **given}.items() if v is not None and n != "match"}
-        self._edit({rule_key(match): rule or None})
+        rule = {**present, **given, "match": None}
+        rule = {n: v for n, v in rule.items() if v is not None and (n, v) != ("gain_db", 0.0)}
+        self._edit({RULE + match: rule or None})
 
     def _mute(self, muted: object) -> None:
         if not isinstance(muted, bool):
@@ -248,7 +247,7 @@ class LiveControl:
 
     def _tell(self) -> None:
         """Set `settings` to a new object, by which the status server detects the change."""
-        config, filed = self._config, self._filed()
+        config, filed = self._config, self._edits.unsaved()
         self._level = 0.0 if config.muted else db_to_amplitude(config.settings.gain_db)
         self.settings = {
             "keys": [
@@ -256,23 +255,14 @@ class LiveControl:
                 | {"unsaved": name in filed, "file": filed.get(name)}
                 for name, key in EDITABLE.items()
             ],
-            "rules": [one.chosen for one in config.live.application_rules],
-            "unsaved_rules": [match for match in map(rule_match, filed) if match],
+            "rules": [vars(one) for one in config.live.application_rules],
+            "unsaved_rules": [name.partition(RULE)[2] for name in filed if RULE in name],
             "unsaved": len(filed),
             "undo": self._edits.undo_count,
             "muted": config.muted,
             "tone": self._tone is not None,
             "recording": config.recording is not None,
         }
-
-    def _filed(self) -> dict[str, Any]:
-        """Return what the config file says of each key whose value is not that of the file."""
-        edits = self._edits
-        try:
-            filed = edits.in_file()
-        except CushionError:  # saving will say what is wrong with the file
-            return dict.fromkeys(edits.unsaved)
-        return {name: value for name, value in filed.items() if value != edits.values[name]}
 
     def _owner_of(self, key: Key) -> Described:
         owners = {Settings: self._config.settings, LiveSettings: self._config.live}

@@ -14,6 +14,7 @@ from http import HTTPStatus
 from importlib.resources import files
 from typing import Any
 
+from prometheus_client import CONTENT_TYPE_LATEST
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
@@ -23,7 +24,7 @@ from audioflinger_hook.config.file import names_a_device
 from audioflinger_hook.monitor.access import Access, Listen
 from audioflinger_hook.monitor.clients import CLIENTS_MAX, Client, Clients
 from audioflinger_hook.monitor.daemon_link import DaemonLink
-from audioflinger_hook.monitor.figures import CONTENT_TYPE, metrics_text
+from audioflinger_hook.monitor.figures import metrics_text
 from audioflinger_hook.monitor.frames import Frames
 from audioflinger_hook.service import autostart, install
 from audioflinger_hook.service.one_line import one_line
@@ -139,7 +140,7 @@ class PageServer:
             response.headers["Set-Cookie"] = access.cookie
             return response
         if path == "/metrics" and (cookie or bearer):
-            return _response(HTTPStatus.OK, metrics_text(self._clients), CONTENT_TYPE)
+            return _response(HTTPStatus.OK, metrics_text(self._clients), CONTENT_TYPE_LATEST)
         if path == "/metrics" or not cookie:
             needed = "the token is missing or wrong; open the address that `cushion monitor` prints"
             return _text(HTTPStatus.FORBIDDEN, needed)

@@ -11,7 +11,7 @@ Case is ignored. NAME must match a whole name, id or role; `*`, `?` and `[...]` 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import TypeVar
+from typing import Any
 
 from device.errors import UsageError
 from device.server.identity import is_ours
@@ -20,9 +20,6 @@ from device.server.snapshot import ServerSnapshot, Stream
 # roles (PulseAudio) and properties (PipeWire) of loopbacks and virtual sinks
 _SERVER_ROLES = ("abstract", "filter")
 _SERVER_PROPERTIES = ("node.link-group", "pulse.module.id")
-
-
-_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -58,11 +55,8 @@ class Rule:
         return any(value == self.name or fnmatchcase(value, self.name) for value in known)
 
 
-def first_match(rules: Iterable[tuple[Rule, _T]], stream: Stream) -> _T | None:
-    """Return what belongs to the first rule that matches; None without one.
-
-    A rule with exactly the application's name comes before all others.
-    """
+def first_match(rules: Iterable[tuple[Rule, Any]], stream: Stream) -> Any:
+    """Return what the first matching rule has; one of exactly the application's name is first."""
     found = [one for one in rules if one[0].matches(stream)]
     own = app_name(stream).strip().casefold()
     return min(found, key=lambda one: one[0].name != own)[1] if found else None
@@ -76,8 +70,8 @@ class AppRules:
     """Selects the applications to capture. Immutable: any thread may use it.
 
     include: a stream must match at least one of these rules; () selects all applications. exclude:
-    a stream must match none of these rules. feels: rules that stand above both, each with whether
-    the stream is selected. UsageError: see `Rule.parse`.
+    a stream must match none of these rules. feels: rules above both, each with whether it selects.
+    UsageError: see `Rule.parse`.
     """
 
     def __init__(self, include: Names = (), exclude: Names = (), feels: Feels = ()) -> None:
@@ -87,11 +81,10 @@ class AppRules:
 
     def take(self, stream: Stream) -> bool:
         """Whether the rules select a stream, whatever made it and wherever it plays."""
-        feel = first_match(self.feels, stream)
-        if feel is not None:
-            return feel
         included = not self.include or any(rule.matches(stream) for rule in self.include)
-        return included and not any(rule.matches(stream) for rule in self.exclude)
+        selected = included and not any(rule.matches(stream) for rule in self.exclude)
+        feel: bool | None = first_match(self.feels, stream)
+        return selected if feel is None else feel
 
     def select(
         self, snapshot: ServerSnapshot, haptic_sink: str | None = None

@@ -33,8 +33,7 @@ _VOICE_PROGRAMS = (
 class LeftOut:
     """Decides which streams cause no vibration.
 
-    rules: rules of the user, each with whether its streams are felt. calls_and_alerts: whether
-    other calls and alerts are felt.
+    rules: the user's, each with whether its streams are felt. calls_and_alerts: whether these are.
     """
 
     rules: tuple[tuple[Rule, bool], ...] = ()

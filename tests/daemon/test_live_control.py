@@ -189,7 +189,8 @@ def test_a_rule_of_an_application_applies_is_undone_and_goes_to_the_file_only_by
 
     def rules():
         settings = daemon.settings()
-        return settings["rules"], settings["unsaved_rules"]
+        said = [{n: v for n, v in one.items() if v not in (None, 0.0)} for one in settings["rules"]]
+        return said, settings["unsaved_rules"]
 
     assert rules() == ([], [])
     assert rule(profile="game") == {"done": True}
@@ -202,7 +203,7 @@ def test_a_rule_of_an_application_applies_is_undone_and_goes_to_the_file_only_by
     assert daemon.config.read_text() == saved
     assert rules()[1] == []
     assert daemon.ask(application={"match": "film ", "feel": False}) == {"done": True}
-    assert rules() == ([{"match": "Film", "feel": False}], ["Film"])
+    assert rules() == ([{"match": "Film"}], ["Film"])
     assert daemon.settings()["unsaved"] == 1
     assert rule(feel=True) == {"done": True}
     assert rules()[0] == [{"match": "Film", "feel": True}]
@@ -220,7 +221,7 @@ def test_a_rule_of_an_application_applies_is_undone_and_goes_to_the_file_only_by
 
 def test_what_the_config_says_of_a_rule_is_said_of_a_rule_of_the_page(daemon):
     answer = daemon.ask(application={"match": "x", "profile": "cinma"})
-    assert answer["key"] == "application[x]"
+    assert answer["key"] == "application:x"
     assert 'application[1].profile = "cinma" is not known' in answer["error"]
     assert "did you mean cinema?" in answer["error"]
 
@@ -231,7 +232,7 @@ def test_the_mixed_sound_leaves_an_application_out_by_a_capture_of_the_others(co
     assert (asked, control._edits.values) == ({"done": True}, {"applications.exclude": ("Film",)})
     control._supervisor.is_mixed = False
     control._carry_out({"application": {"match": "Film", "feel": True}})
-    assert control._edits.values["application[Film]"] == {"feel": True}
+    assert control._edits.values["application:Film"] == {"feel": True}
 
 
 def test_an_offset_on_trial_plays_and_is_none_of_the_config(daemon):
