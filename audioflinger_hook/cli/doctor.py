@@ -9,30 +9,21 @@ import os
 import platform
 import time
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from audioflinger_hook.cli.check import find_mistakes
-from audioflinger_hook.doctor.checks import Finding, find
+from audioflinger_hook.doctor.checks import find
 from audioflinger_hook.doctor.facts import Facts
-from audioflinger_hook.doctor.gather import gather
+from audioflinger_hook.doctor.machine import read_config, read_daemon, read_machine
 from audioflinger_hook.doctor.measurement import measure
-from audioflinger_hook.doctor.repair import repair
-from audioflinger_hook.doctor.report import Person, facts_text, findings_text, full_report
-from audioflinger_hook.service.json_codec import to_json
+from audioflinger_hook.doctor.repair import REPAIRS, repair
+from audioflinger_hook.doctor.report import Person, facts_text, findings_text, full_report, rows
+from audioflinger_hook.doctor.servers import read_server
 from device.atomic_file import write_bytes_atomically
 from device.stream import filter_stderr
 
 EXIT_FINDINGS = 1
-
-
-@dataclass(frozen=True)
-class Document:
-    """The document of `--json`."""
-
-    findings: list[Finding]
-    repaired: list[str]
-    facts: Facts
 
 
 def run(options: argparse.Namespace) -> int:
@@ -40,8 +31,7 @@ def run(options: argparse.Namespace) -> int:
     if not options.debug:
         filter_stderr()
     facts, repaired = _facts(), list[str]()
-    findings = find(facts)
-    if options.fix and (due := [one for one in findings if one.repair]):
+    if options.fix and (due := [one for one in find(facts) if one.name in REPAIRS]):
         repaired = [repair(one, facts, os.environ) for one in due]
         facts = _facts()
     if options.measure:
@@ -51,14 +41,18 @@ def run(options: argparse.Namespace) -> int:
         text = full_report(facts, findings, repaired, _person())
         write_bytes_atomically(options.report, text.encode("utf-8", "replace"))
     if options.json:
-        print(json.dumps(json.loads(to_json(Document(findings, repaired, facts))), indent=2))
+        delay = asdict(facts.delay) if facts.delay else None
+        shown = {"findings": [asdict(one) for one in findings], "repaired": repaired}
+        print(json.dumps({**shown, "delay": delay, "facts": list(rows(facts))}, indent=2))
     else:
         print(findings_text(findings, repaired), facts_text(facts), sep="\n\n")
     return EXIT_FINDINGS if findings else 0
 
 
 def _facts() -> Facts:
-    return gather(os.environ, time.monotonic, find_mistakes)
+    """Return all facts but the measured delay, in about 15 s even if nothing answers."""
+    facts = read_server(read_machine(os.environ), os.environ)
+    return read_daemon(read_config(facts, find_mistakes), time.monotonic, os.environ)
 
 
 def _person() -> Person:

@@ -2,9 +2,8 @@
 
 | module | contents |
 | --- | --- |
-| `facts` | the facts, as plain values |
-| `machine` | reads versions, real-time permission, folders, the plugin's files and the daemon |
-| `gather` | reads all facts |
+| `facts` | the facts, in the types of the modules that they come from |
+| `machine` | reads versions, permissions, folders, the plugin's files, the config and the daemon |
 | `servers` | reads the sound server and PipeWire's graph |
 | `checks` | finds what is wrong; no I/O |
 | `texts` | the texts of all findings |

@@ -6,6 +6,7 @@ import fcntl
 import os
 from collections.abc import Callable, Mapping
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 from audioflinger_hook.config.profiles import LIVE_DEFAULT
@@ -24,7 +25,7 @@ ROUNDING_DB = 0.01  # volumes of a server that differ by less are the same
 def repair(finding: Finding, facts: Facts, environ: Mapping[str, str]) -> str:
     """Repair a finding; return what was done, in one sentence. Only the main thread may call it."""
     try:
-        return REPAIRS[finding.repair](facts, environ)
+        return REPAIRS[finding.name](facts, environ)
     except (CushionError, OSError) as error:
         return f"{finding.name} was not repaired: {error}."
 
@@ -36,12 +37,10 @@ def unmute(facts: Facts, environ: Mapping[str, str]) -> str:
     might feel a sudden strong vibration. If the volume then is higher than before, mute it again.
     """
     with closing(PulseConnection()) as connection:
-        before = find_sink(connection.latest, facts.felt)
-        plays = any(
-            stream.device_index == before.index and not stream.corked
-            for stream in connection.latest.sink_inputs
-        )
-        if plays:
+        before = replace(facts, server=connection.latest).felt
+        if before is None:
+            return "The output of the vibration is gone."
+        if replace(facts, server=connection.latest).plays(before):
             return f"{before.name!r} stays muted, because a stream plays to it now; pause it first."
         if before.volume_db > 0.0:
             return (
@@ -80,12 +79,13 @@ def make_folders(facts: Facts, environ: Mapping[str, str]) -> str:
     paths = [folder.path for folder in facts.folders if folder.can_make]
     for path in paths:
         make_private_folder(Path(path))
-    return f"{', '.join(paths)} was made."
+    return f"{', '.join(paths) or 'No folder'} was made."
 
 
+# {name of the finding: its repair}
 REPAIRS: Mapping[str, Callable[[Facts, Mapping[str, str]], str]] = {
-    "unmute": unmute,
-    "lock": remove_lock,
-    "plugin": install_plugin,
+    "device-muted": unmute,
+    "stale-lock": remove_lock,
+    "plugin-copy": install_plugin,
     "folder": make_folders,
 }

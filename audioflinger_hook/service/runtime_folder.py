@@ -43,7 +43,7 @@ class RuntimeFolder:
     """
 
     def __init__(self, environ: Mapping[str, str], create: bool) -> None:
-        self.path = _place(environ)
+        self.path = folder_path(environ)
         try:
             if create:
                 with contextlib.suppress(FileExistsError):
@@ -147,7 +147,8 @@ class DaemonLock:
         self.release()
 
 
-def _place(environ: Mapping[str, str]) -> Path:
+def folder_path(environ: Mapping[str, str]) -> Path:
+    """Return the path of `RuntimeFolder`. UsageError: the variable is not a usable path."""
     user = os.geteuid()
     text = environ.get(VARIABLE, "")
     base = Path(text or f"/run/user/{user}")
