@@ -14,12 +14,10 @@ from pathlib import Path
 
 from audioflinger_hook.cli.check import find_mistakes
 from audioflinger_hook.doctor.checks import find
-from audioflinger_hook.doctor.facts import Facts
-from audioflinger_hook.doctor.machine import read_config, read_daemon, read_machine
 from audioflinger_hook.doctor.measurement import measure
+from audioflinger_hook.doctor.reading import read_facts
 from audioflinger_hook.doctor.repair import REPAIRS, repair
-from audioflinger_hook.doctor.report import Person, facts_text, findings_text, full_report, rows
-from audioflinger_hook.doctor.servers import read_server
+from audioflinger_hook.doctor.report import facts_text, findings_text, full_report, rows
 from device.atomic_file import write_bytes_atomically
 from device.stream import filter_stderr
 
@@ -30,10 +28,11 @@ def run(options: argparse.Namespace) -> int:
     """Print findings and facts. Exit code 0: nothing is wrong; 1: there are findings."""
     if not options.debug:
         filter_stderr()
-    facts, repaired = _facts(), list[str]()
+    facts = read_facts(os.environ, time.monotonic, find_mistakes)
+    repaired = list[str]()
     if options.fix and (due := [one for one in find(facts) if one.name in REPAIRS]):
         repaired = [repair(one, facts, os.environ) for one in due]
-        facts = _facts()
+        facts = read_facts(os.environ, time.monotonic, find_mistakes)
     if options.measure:
         facts = replace(facts, delay=measure(facts))
     findings = find(facts)
@@ -49,14 +48,9 @@ def run(options: argparse.Namespace) -> int:
     return EXIT_FINDINGS if findings else 0
 
 
-def _facts() -> Facts:
-    """Return all facts but the measured delay, in about 15 s even if nothing answers."""
-    facts = read_server(read_machine(os.environ), os.environ)
-    return read_daemon(read_config(facts, find_mistakes), time.monotonic, os.environ)
-
-
-def _person() -> Person:
-    user = ""
+def _person() -> list[str]:
+    """Return the names of the user, of the home folder and of the machine."""
+    names = [str(Path("~").expanduser()), platform.node()]
     with suppress(KeyError, OSError):  # in a container the user may have no name
-        user = getpass.getuser()
-    return Person(user, str(Path("~").expanduser()), platform.node())
+        names.append(getpass.getuser())
+    return names

@@ -5,13 +5,12 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from string import Formatter
+from typing import Any
 
-from audioflinger_hook.daemon.run_config import SERVER_DEVICES
 from audioflinger_hook.doctor.facts import Facts
 from audioflinger_hook.doctor.texts import TEXTS
 from audioflinger_hook.service.state import READY
-from device.address import parse_device
-from device.errors import CushionError
 
 WEAK_DB = -20.0  # the server's 46 %: vibration is a tenth as strong
 FREE_MIN_BYTES = 1 << 20  # state, lock and socket need some kilobytes
@@ -26,106 +25,112 @@ class Finding:
     name: str
     wrong: str
     advice: str
-    command: str = ""
+    command: str
+
+
+class _Texts(Formatter):
+    """Fills the texts. The conversion `!q` makes a word of a shell."""
+
+    def convert_field(self, value: Any, conversion: Any) -> Any:
+        return shlex.quote(value) if conversion == "q" else super().convert_field(value, conversion)
 
 
 def find(facts: Facts) -> list[Finding]:
     """Return all findings, causes before their effects: in the order of their texts."""
-    checks = (_plain, _server, _folders, _levels, _rates, _daemons, _notes)
-    faults = [fault for check in checks for fault in check(facts)]
-    known = {**vars(facts), "felt": facts.felt}
+    faults = sorted(
+        (fault for check in (_simple, _repeated, _rates) for fault in check(facts)),
+        key=lambda fault: list(TEXTS).index(fault[0]),
+    )
+    known = {**vars(facts), "felt": facts.felt, "heard": facts.heard}
+    fill = _Texts().vformat
     return [
-        Finding(name.split()[0], *(one.format(**{**known, **values}) for one in TEXTS[name]))
-        for name, values in sorted(faults, key=lambda fault: list(TEXTS).index(fault[0]))
+        Finding(name.split()[0], *(fill(one, (), {**known, **values}) for one in TEXTS[name]))
+        for name, values in faults
     ]
 
 
-def _plain(facts: Facts) -> Iterator[Fault]:
-    """Everything that a comparison of facts finds."""
+def _simple(facts: Facts) -> Iterator[Fault]:
+    """What can be wrong once."""
     server, graph, status, delay = facts.server, facts.graph, facts.status, facts.delay
-    kind, felt, silent = server.kind if server else "", facts.felt, facts.daemon_error
+    heard, felt, holder = facts.heard, facts.felt, facts.holder
+    is_pipewire = bool(server and server.kind == "PipeWire")
+    is_pulse = bool(server and server.kind == "PulseAudio")
     is_idle = status is None and not (facts.config_error or facts.mistakes)
-    is_on_server, device_error = _device(facts)
-    is_python = kind == "PipeWire" and status and status.engine == "python"
+    is_gone = not (status or facts.is_locked or facts.daemon_error)
     is_chosen = facts.engine == "python" or (status and status.engine_reason.startswith("engine ="))
+    lacks_native = is_pipewire and facts.is_on_server and facts.native_problem
     applies = {
-        "no-default-sink": server and not server.default_sink,
-        "wrong-default-sink": server and felt and server.default_sink == felt.name,
+        "server-hangs": not server and facts.hangs,
+        "no-pulse": not server and not facts.hangs and graph,
+        "no-server": not (server or facts.hangs or graph),
         "no-session-manager": graph and graph.session_manager is None,
-        "pulseaudio": kind == "PulseAudio",
+        "pulseaudio": is_pulse,
         "config unreadable": facts.config_error,
         "no-plugin": not facts.is_built,
-        "no-native": facts.is_built
-        and kind == "PipeWire"
-        and is_on_server
-        and facts.native_problem,
-        "no-alsa-plugin": kind == "PulseAudio" and is_on_server and facts.alsa_problem,
+        "no-native": facts.is_built and lacks_native,
         "plugin-copy": facts.installed not in ("", "current"),
-        "no-device": is_idle and device_error,
+        "no-alsa-plugin": is_pulse and facts.is_on_server and facts.alsa_problem,
+        "wrong-default-sink": server and felt and server.default_sink == felt.name,
+        "no-default-sink": server and not server.default_sink,
+        "no-device": is_idle and facts.device_error,
         "no-device-chosen": is_idle and not facts.device,
-        "not-felt": delay and delay.was_played and delay.delay_ms is None,
-        "daemon-silent": silent and not facts.is_locked,
-        "stale-lock": facts.holder and not (status or facts.is_locked or silent),
-        "no-daemon": not (status or facts.is_locked or silent),
+        "device-muted": felt and felt.mute,
+        "device-low": felt and not felt.mute and felt.volume_db < WEAK_DB,
+        "sound-muted": heard and heard.mute and heard != felt,
+        "no-realtime": not (facts.is_realtime or facts.rtkit),
+        "daemon-hangs": not status and facts.is_locked,
+        "daemon-silent": facts.daemon_error and not facts.is_locked,
+        "stale-lock": is_gone and holder,
+        "service-failed": facts.service == "failed",
+        "no-daemon": is_gone,
         "daemon-version": status and status.version != facts.program,
+        "daemon-waits": status and status.state not in READY,
         "muted": status and status.muted,
-        "python-engine": is_python and not is_chosen,
+        "python-engine": is_pipewire and status and status.engine == "python" and not is_chosen,
         "monitor-tap": status and status.graph and status.graph.tap == "monitor",
+        "not-felt": delay and delay.was_played and delay.delay_ms is None,
     }
     others = [one.name for one in server.sinks if one != felt] if server else []
-    speakers = shlex.quote(others[0]) if len(others) == 1 else "NAME"
-    values = {"speakers": speakers, "device_error": device_error}
+    values = {
+        "as_user": " Run cushion as the user of the desktop, not as root." * facts.is_root,
+        "speakers": others[0] if len(others) == 1 else "NAME",
+        "device_error": facts.device_error,
+        "asked": "the system bus cannot be asked"
+        if facts.rtkit is None
+        else "it is not on the bus",
+        "who": f"process {holder.pid}" if holder else "an unknown process",
+        "kill": f"kill -9 {holder.pid}" if holder else "",
+        "silent": facts.daemon_error or "no answer",
+        "other": ", because another daemon runs" * bool(status),
+        "waits": f": {status.reason}" if status and status.reason else "",
+    }
     yield from ((name, values) for name, is_so in applies.items() if is_so)
 
 
-def _device(facts: Facts) -> tuple[bool, str]:
-    """Return whether the config's device is a sink, and why it is not on the server."""
-    if not facts.device:
-        return True, ""
-    address = parse_device(facts.device)
-    if facts.server and address.kind in SERVER_DEVICES:
-        try:
-            address.sink(facts.server)
-        except CushionError as error:
-            return True, str(error)
-    return address.kind in SERVER_DEVICES, ""
-
-
-def _server(facts: Facts) -> Iterator[Fault]:
-    """A sound server must answer, and audio threads must get real-time priority."""
-    if facts.server is None:
-        as_user = " Run cushion as the user of the desktop, not as root." * facts.is_root
-        name = "server-hangs" if facts.hangs else "no-pulse" if facts.graph else "no-server"
-        yield name, {"as_user": as_user}
-    if facts.priority != "real-time" and not facts.rtkit:
-        asked = "the system bus cannot be asked" if facts.rtkit is None else "it is not on the bus"
-        yield "no-realtime", {"asked": asked}
-
-
-def _folders(facts: Facts) -> Iterator[Fault]:
-    """Folders must be usable, with free space."""
-    for folder in facts.folders:
-        path = shlex.quote(folder.path)
-        if folder.problem:
-            command = f"mkdir -m 700 {path}" * folder.can_make
-            yield "folder", {"folder": folder, "command": command}
-        elif folder.free_bytes is not None and folder.free_bytes < FREE_MIN_BYTES:
-            free = {"free_kb": folder.free_bytes >> 10, "least_kb": FREE_MIN_BYTES >> 10}
-            yield "disk-full", {"folder": folder, "path": path, **free}
-
-
-def _levels(facts: Facts) -> Iterator[Fault]:
-    """Outputs must not be muted, nor the output of the vibration very low."""
-    heard, felt = facts.heard, facts.felt
-    if felt is not None and (felt.mute or felt.volume_db < WEAK_DB):
-        name = "device-muted" if felt.mute else "device-low"
-        yield name, {"sink": felt, "word": shlex.quote(felt.name)}
-    if heard is not None and heard.mute and heard != felt:
-        yield "sound-muted", {"sink": heard, "word": shlex.quote(heard.name)}
+def _repeated(facts: Facts) -> Iterator[Fault]:
+    """What can be wrong several times: mistakes, warnings, folders and daemons."""
+    yield from (("config mistake", {"mistake": one}) for one in facts.mistakes)
+    yield from (("config warning", {"warning": one}) for one in facts.config_warnings)
+    for one in facts.folders:
+        free_kb, least_kb = (one.free_bytes or 0) >> 10, FREE_MIN_BYTES >> 10
+        if one.problem:
+            yield "folder", {"folder": one}
+        elif one.free_bytes is not None and free_kb < least_kb:
+            yield "disk-full", {"folder": one, "free_kb": free_kb, "least_kb": least_kb}
+    status, players = facts.status, facts.players
+    if len(players) > 1:
+        known = f"process {status.pid}" if status else ""
+        other = next(player for player in reversed(players) if player != known)
+        process = other.removeprefix("process ")
+        command = f"kill {process}" if process != other else "cushion plugin remove"
+        named = {"count": len(players), "players": ", ".join(players), "command": command}
+        yield "second-daemon", named
+    warnings = status.warnings if status else ()
+    yield from (("daemon-warns", {"warning": one}) for one in warnings)
 
 
 def _rates(facts: Facts) -> Iterator[Fault]:
-    """PipeWire's graph should run at the rate of the outputs of sound and vibration."""
+    """The outputs that PipeWire's graph must convert to, because it runs at another rate."""
     graph, forced_hz = facts.graph, facts.clock("force-rate")
     if graph is None or not graph.clock_hz:
         return
@@ -138,43 +143,7 @@ def _rates(facts: Facts) -> Iterator[Fault]:
             sinks.append(sink)
     used_hz = {sink.samplerate for sink in sinks}
     can_switch = not forced_hz and len(used_hz) == 1 and used_hz <= set(facts.allowed_hz)
-    runs = "is forced to" if forced_hz else "runs at"
     for sink in sinks:
-        if sink.samplerate == graph.clock_hz or can_switch:
-            continue
-        todo = "Let the graph run at the rate of the output."
-        command = f"pw-metadata -n settings 0 clock.force-rate {sink.samplerate}"
-        if forced_hz:
-            todo, command = "End the forced rate.", "pw-metadata -n settings 0 clock.force-rate 0"
-        elif len(used_hz) > 1:
-            todo, command = "Give both outputs this rate in their configuration.", ""
-        yield "rate-clash", {"sink": sink, "runs": runs, "todo": todo, "command": command}
-
-
-def _daemons(facts: Facts) -> Iterator[Fault]:
-    """One daemon plays; it answers, and the service has not failed."""
-    status, players, holder = facts.status, facts.players, facts.holder
-    if len(players) > 1:
-        known = f"process {status.pid}" if status else ""
-        other = next(player for player in reversed(players) if player != known)
-        process = other.removeprefix("process ")
-        command = f"kill {process}" if process != other else "cushion plugin remove"
-        named = {"count": len(players), "players": ", ".join(players), "command": command}
-        yield "second-daemon", named
-    if status is None and facts.is_locked:
-        who = f"process {holder.pid}" if holder else "an unknown process"
-        command = f"kill -9 {holder.pid}" if holder else ""
-        reason = facts.daemon_error or "no answer"
-        yield "daemon-hangs", {"who": who, "reason": reason, "command": command}
-    if status is not None and status.state not in READY:
-        yield "daemon-waits", {"reason": f": {status.reason}" * bool(status.reason)}
-    if facts.service == "failed":
-        yield "service-failed", {"other": ", because another daemon runs" * bool(status)}
-
-
-def _notes(facts: Facts) -> Iterator[Fault]:
-    """The mistakes and warnings of the config file, and the daemon's warnings."""
-    yield from (("config mistake", {"mistake": one}) for one in facts.mistakes)
-    yield from (("config warning", {"warning": one}) for one in facts.config_warnings)
-    warnings = facts.status.warnings if facts.status else ()
-    yield from (("daemon-warns", {"warning": one}) for one in warnings)
+        if sink.samplerate != graph.clock_hz and not can_switch:
+            case = "forced" if forced_hz else "alone" if len(used_hz) == 1 else "both"
+            yield f"rate-clash {case}", {"sink": sink}

@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from audioflinger_hook.config.toml_text import Mistake
+from audioflinger_hook.daemon.native.chain import NAME
 from audioflinger_hook.service.runtime_folder import Holder
 from audioflinger_hook.service.status import Status
 from audioflinger_hook.sources import parse_tap
@@ -17,19 +18,17 @@ from device.server import ServerSnapshot
 from device.server.graph import Graph
 from device.server.snapshot import Sink
 
+OURS = rf"{NAME}(?:-(\d+)-\d+)?\.(tap|vibration)"  # names of the nodes of chains
+
 
 @dataclass(frozen=True)
 class Folder:
-    """A folder of the program. problem: why it cannot be used. can_make: whether --fix can help.
-
-    free_bytes: space for this user on its disk.
-    """
+    """A folder of the program. free_bytes: on its disk. problem: why it cannot be used."""
 
     what: str
     path: str
     free_bytes: int | None = None
     problem: str = ""
-    can_make: bool = False
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ class Facts:
     pipewire: str = ""
     wireplumber: str = ""
     is_root: bool = False
-    priority: str = ""  # what an audio thread gets: "real-time", "nice" or ""
+    is_realtime: bool = False  # whether an audio thread gets real-time priority
     rtprio_limit: int = 0  # soft limit RLIMIT_RTPRIO
     rtkit: bool | None = None  # whether it is on the system bus; None if no program can ask the bus
 
@@ -76,6 +75,8 @@ class Facts:
     config_warnings: tuple[str, ...] = ()
     tap: str = "default"
     device: str = ""
+    device_error: str = ""  # why it is not on the server
+    is_on_server: bool = True  # whether it is a sink
     engine: str = "auto"
 
     # folders, and the plugin's files

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 from collections.abc import Callable, Mapping
 from contextlib import closing
@@ -13,7 +12,7 @@ from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from audioflinger_hook.doctor.checks import Finding
 from audioflinger_hook.doctor.facts import Facts
 from audioflinger_hook.plugin.install import RATES_HZ, Places, install
-from audioflinger_hook.service.runtime_folder import LOCK_NAME, RuntimeFolder
+from audioflinger_hook.service.runtime_folder import LOCK_NAME, DaemonLock, Holder, RuntimeFolder
 from device.atomic_file import make_private_folder
 from device.errors import CushionError
 from device.server import PulseConnection
@@ -55,15 +54,10 @@ def unmute(facts: Facts, environ: Mapping[str, str]) -> str:
 
 
 def remove_lock(facts: Facts, environ: Mapping[str, str]) -> str:
-    """Remove the lock file of a daemon that no longer exists."""
+    """Remove the lock file of a daemon that no longer exists. UsageError: a daemon holds it."""
     with RuntimeFolder(environ, create=False) as folder:
-        flags = os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
-        file = os.open(LOCK_NAME, flags, dir_fd=folder.fd)
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # fails if a daemon holds it
+        with DaemonLock(folder, Holder(os.getpid(), "", "")):
             os.unlink(LOCK_NAME, dir_fd=folder.fd)
-        finally:
-            os.close(file)
         return f"{folder.path / LOCK_NAME} was removed."
 
 
@@ -76,10 +70,11 @@ def install_plugin(facts: Facts, environ: Mapping[str, str]) -> str:
 
 def make_folders(facts: Facts, environ: Mapping[str, str]) -> str:
     """Make the missing folders, accessible to this user only."""
-    paths = [folder.path for folder in facts.folders if folder.can_make]
-    for path in paths:
-        make_private_folder(Path(path))
-    return f"{', '.join(paths) or 'No folder'} was made."
+    paths = [Path(folder.path) for folder in facts.folders if folder.problem]
+    missing = [path for path in paths if path.is_absolute() and not path.exists()]
+    for path in missing:
+        make_private_folder(path)
+    return f"{', '.join(map(str, missing)) or 'No folder'} was made."
 
 
 # {name of the finding: its repair}

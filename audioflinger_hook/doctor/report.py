@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from audioflinger_hook.doctor.checks import Finding
-from audioflinger_hook.doctor.facts import Facts
-from audioflinger_hook.doctor.servers import links
+from audioflinger_hook.doctor.facts import OURS, Facts
 from audioflinger_hook.service.status import status_rows
+from device.server.graph import Graph
 
 # Rows of the status that never contain a name of an application, a file or an actuator.
 _STATUS_ROWS = "cushion state profile server latency offset dropouts recoveries sound vibration"
@@ -21,15 +22,6 @@ _PATH = re.compile(r"(?<![\w.~/])(?:file:|capture:|wav:)?[~.]{0,2}/[^;:,)'\"]*")
 _PLAIN = re.compile(r"[-+.\w]{0,2}|[-+.\deE_]+|true|false")  # values that are no names
 _NAMED = ("app", "file", "capture", "wav")  # kinds of taps and devices with a private name
 HIDDEN = "(hidden)"
-
-
-@dataclass(frozen=True)
-class Person:
-    """Names to be left out: the user's name, home folder, and machine."""
-
-    user: str = ""
-    home: str = ""
-    host: str = ""
 
 
 def findings_text(findings: Sequence[Finding], repairs: Sequence[str]) -> str:
@@ -48,9 +40,12 @@ def facts_text(facts: Facts) -> str:
 
 
 def full_report(
-    facts: Facts, findings: Sequence[Finding], repairs: Sequence[str], person: Person
+    facts: Facts, findings: Sequence[Finding], repairs: Sequence[str], person: Sequence[str]
 ) -> str:
-    """Return findings and facts without names of the user's files, windows, streams and machine."""
+    """Return findings and facts without names of files, windows, streams and the person.
+
+    person: names of the user, of the home folder and of the machine.
+    """
     keep = {sink.name for sink in facts.server.sinks} if facts.server else set()
     text = f"{findings_text(findings, repairs)}\n\n{facts_text(facts)}\n"
     for word in sorted(_private_words(facts), key=len, reverse=True):
@@ -75,11 +70,11 @@ def _private_words(facts: Facts) -> Iterator[str]:
             yield name
 
 
-def anonymous(line: str, keep: set[str], person: Person) -> str:
+def anonymous(line: str, keep: set[str], person: Sequence[str]) -> str:
     """Return a line without quoted names and paths. keep: names of sinks, which stay."""
     line = _QUOTED.sub(lambda found: found[0] if found[0][1:-1] in keep else HIDDEN, line)
     line = _PATH.sub(_shown_path, line)
-    for name in (person.home, person.host, person.user):
+    for name in sorted(person, key=len, reverse=True):
         if name not in ("", "/", "root", "localhost"):
             line = re.sub(rf"(?<!\w){re.escape(name)}(?!\w)", HIDDEN, line)
     return line
@@ -97,7 +92,7 @@ def rows(facts: Facts) -> Iterator[tuple[str, str]]:
     yield "system", facts.system + ", as root" * facts.is_root
     rtkit = {True: "present", False: "missing", None: "unknown"}[facts.rtkit]
     limit = f"RLIMIT_RTPRIO {facts.rtprio_limit}"
-    yield "priority", f"{facts.priority or 'none'}; {limit}; rtkit {rtkit}"
+    yield "real-time", f"{'yes' if facts.is_realtime else 'no'}; {limit}; rtkit {rtkit}"
     yield "PipeWire", f"{facts.pipewire or 'none'}, WirePlumber {facts.wireplumber or 'none'}"
     yield "server", f"{server.kind} {server.version}" if server else f"none: {facts.server_error}"
     if graph is not None:
@@ -107,7 +102,7 @@ def rows(facts: Facts) -> Iterator[tuple[str, str]]:
         quantum = f"quantum {facts.clock('quantum')} frames{cycle}"
         yield "graph", f"{facts.clock('rate')} Hz{forced}, allowed {allowed} Hz; {quantum}"
     yield from (("sink", text) for text in _sinks(facts))
-    yield from (("link", text) for text in (links(graph) if graph else ()))
+    yield from (("link", text) for text in (_links(graph) if graph else ()))
     yield "players", ", ".join(facts.players) or "none"
     yield "config", facts.config_error or f"tap {facts.tap}, device {facts.device or 'none'}"
     for folder in facts.folders:
@@ -146,3 +141,17 @@ def _sinks(facts: Facts) -> Iterator[str]:
             f"declares {1e3 * declared_s:.1f} ms" if declared_s else "declares no delay",
         )
         yield ", ".join(filter(None, parts))
+
+
+def _links(graph: Graph) -> list[str]:
+    """Return the links of the tap and the vibration, as "FROM -> TO (STATE) x CHANNELS"."""
+    names = {
+        node.id: node.name if node.is_sink or re.fullmatch(OURS, node.name) else f"stream {node.id}"
+        for node in graph.nodes.values()
+    }
+    texts = (
+        f"{names.get(one.output_node_id)} -> {names.get(one.input_node_id)} ({one.state})"
+        for one in sorted(graph.links.values(), key=lambda link: link.id)
+    )
+    found = Counter(text for text in texts if re.search(OURS, text))
+    return [f"{text} x {count}" for text, count in found.items()]

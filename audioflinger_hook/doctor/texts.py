@@ -35,11 +35,10 @@ config warning: The config file leads to a warning: {warning}.
     See all mistakes and warnings.
     $ cushion check
 folder: The {folder.what} folder cannot be used: {folder.problem}.
-    Make the folder usable for this user.
-    $ {command}
+    Make the folder usable for this user; `cushion doctor --fix` makes a missing folder.
 disk-full: The disk of the {folder.what} folder is full: {free_kb} kB are free at {folder.path}.
     Delete some files; at least {least_kb} kB are needed.
-    $ df -h {path}
+    $ df -h {folder.path!q}
 no-plugin: The plugin is missing: the file haptic_cushion.so was not built.
     Install a C compiler, such as gcc, and build the plugin.
     $ make run
@@ -53,29 +52,36 @@ no-alsa-plugin: The Python engine cannot play: {alsa_problem}.
 wrong-default-sink: The default output {felt.name!r} is the output of the vibration, so all \
 programs play their sound on the actuators.
     Make your speakers the default output.
-    $ pactl set-default-sink {speakers}
+    $ pactl set-default-sink {speakers!q}
 no-default-sink: The sound server has no default output, so there is no sound to capture.
     Connect your speakers, or choose the default output.
-    $ pactl set-default-sink {speakers}
+    $ pactl set-default-sink {speakers!q}
 no-device: The device of the vibration is missing: {device_error}.
     Connect the device, or choose another one.
     $ cushion devices
 no-device-chosen: No device is chosen for the vibration: the config file names none.
     Choose the device.
     $ cushion setup
-device-muted: The output of the vibration {sink.name!r} is muted, at volume {sink.volume_percent} %.
+device-muted: The output of the vibration {felt.name!r} is muted, at volume {felt.volume_percent} %.
     Turn the amplifier down, then unmute the output.
-    $ pactl set-sink-mute {word} 0
-device-low: The output of the vibration {sink.name!r} is at volume {sink.volume_percent} %.
+    $ pactl set-sink-mute {felt.name!q} 0
+device-low: The output of the vibration {felt.name!r} is at volume {felt.volume_percent} %.
     Turn the amplifier down, then set the volume to 100 %.
-    $ pactl set-sink-volume {word} 100%
-sound-muted: The output of the sound {sink.name!r} is muted, so nothing is felt.
+    $ pactl set-sink-volume {felt.name!q} 100%
+sound-muted: The output of the sound {heard.name!r} is muted, so nothing is felt.
     Unmute the output, and set a low volume instead.
-    $ pactl set-sink-mute {word} 0
-rate-clash: The output {sink.name!r} runs at {sink.samplerate} Hz, but PipeWire's graph {runs} \
-{graph.clock_hz} Hz.
-    {todo}
-    $ {command}
+    $ pactl set-sink-mute {heard.name!q} 0
+rate-clash forced: The output {sink.name!r} runs at {sink.samplerate} Hz, but PipeWire's graph is \
+forced to {graph.clock_hz} Hz.
+    End the forced rate.
+    $ pw-metadata -n settings 0 clock.force-rate 0
+rate-clash alone: The output {sink.name!r} runs at {sink.samplerate} Hz, but PipeWire's graph runs \
+at {graph.clock_hz} Hz.
+    Let the graph run at the rate of the output.
+    $ pw-metadata -n settings 0 clock.force-rate {sink.samplerate}
+rate-clash both: The output {sink.name!r} runs at {sink.samplerate} Hz, but PipeWire's graph runs \
+at {graph.clock_hz} Hz.
+    Give both outputs this rate in their configuration.
 no-realtime: Audio threads get no real-time priority: RLIMIT_RTPRIO is {rtprio_limit}, and rtkit \
 is missing ({asked}).
     Install rtkit, or allow real-time priority with this command and log in again.
@@ -83,9 +89,9 @@ is missing ({asked}).
 second-daemon: {count} programs play vibration to this server: {players}.
     End all but one of them.
     $ {command}
-daemon-hangs: A daemon ({who}) holds the lock, but gives no status: {reason}.
+daemon-hangs: A daemon ({who}) holds the lock, but gives no status: {silent}.
     End this daemon, then start it again.
-    $ {command}
+    $ {kill}
 daemon-silent: The daemon gives no status: {daemon_error}.
     Start it again.
 stale-lock: The last daemon (process {holder.pid}, started {holder.started}) was killed or \
@@ -101,7 +107,7 @@ no-daemon: No daemon is running.
 daemon-version: The daemon has version {status.version}, and this command {program}.
     Start the daemon again.
     $ systemctl --user restart cushion
-daemon-waits: The daemon is {status.state.value}{reason}.
+daemon-waits: The daemon is {status.state.value}{waits}.
     Remove the cause; the daemon then continues.
 muted: The vibration is muted.
     Switch the vibration on in the live page.

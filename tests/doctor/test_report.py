@@ -6,14 +6,14 @@ import pytest
 
 from audioflinger_hook.config.toml_text import Mistake
 from audioflinger_hook.doctor.checks import find
-from audioflinger_hook.doctor.report import HIDDEN, Person, anonymous, full_report
+from audioflinger_hook.doctor.report import HIDDEN, anonymous, full_report
 from audioflinger_hook.service.status import Application, Endpoint
 from device.server.graph import Graph
 from tests.doctor.test_findings import HEALTHY, SERVER, STATUS
 from tests.support.graphs import link, node, port
 from tests.support.snapshots import stream
 
-PERSON = Person("anna", "/home/anna", "annas-box")
+PERSON = ("anna", "/home/anna", "annas-box")
 
 
 @pytest.mark.parametrize(

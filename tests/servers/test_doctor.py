@@ -193,7 +193,7 @@ def test_rtkit_on_the_bus_is_a_permission(configured, tmp_path) -> None:
         finally:
             bus.kill()
     assert "no-realtime" not in found.wrong
-    assert "rtkit present" in found.facts("priority")
+    assert "rtkit present" in found.facts("real-time")
 
 
 def test_two_daemons_that_play_are_named_with_their_processes(server, tmp_path) -> None:
