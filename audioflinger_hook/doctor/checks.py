@@ -142,7 +142,7 @@ def _rates(facts: Facts) -> Iterator[Fault]:
         if sink is not None and is_known and sink not in sinks:
             sinks.append(sink)
     used_hz = {sink.samplerate for sink in sinks}
-    can_switch = not forced_hz and len(used_hz) == 1 and used_hz <= set(facts.allowed_hz)
+    can_switch = not forced_hz and len(used_hz) == 1 and used_hz <= {*facts.clock("allowed-rates")}
     for sink in sinks:
         if sink.samplerate != graph.clock_hz and not can_switch:
             case = "forced" if forced_hz else "alone" if len(used_hz) == 1 else "both"

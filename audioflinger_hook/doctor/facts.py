@@ -67,7 +67,7 @@ class Facts:
     hangs: bool = False  # whether a server accepts connections but does not answer
     players: tuple[str, ...] = ()  # what plays vibration on it, such as "process 1234"
     graph: Graph | None = None  # of PipeWire
-    declared_s: Mapping[str, float] = field(default_factory=dict)  # delays, by the sink's name
+    latencies_s: Mapping[str, float] = field(default_factory=dict)  # on PulseAudio, by sink
 
     # the config file
     config_error: str = ""  # why it cannot be read
@@ -119,18 +119,12 @@ class Facts:
         streams = self.server.sink_inputs if self.server else ()
         return any(one.device_index == sink.index and not one.corked for one in streams)
 
-    def clock(self, setting: str) -> int:
-        """Return a setting of PipeWire's clock, such as "force-rate"; 0 if unset or unknown."""
+    def clock(self, setting: str) -> list[int]:
+        """Return the numbers, except 0, in a setting of PipeWire's clock, such as "force-rate"."""
         text = str(self.graph.settings.get(f"clock.{setting}")) if self.graph else ""
-        return int(text) if text.isdecimal() else 0
-
-    @property
-    def allowed_hz(self) -> tuple[int, ...]:
-        """The rates to which PipeWire's graph may switch."""
-        text = str(self.graph.settings.get("clock.allowed-rates")) if self.graph else ""
-        return tuple(map(int, re.findall(r"\d+", text)))
+        return [number for number in map(int, re.findall(r"\d+", text)) if number]
 
     @property
     def cycle_frames(self) -> int:
         """The length of a cycle: the forced quantum, else the configured quantum."""
-        return self.clock("force-quantum") or self.clock("quantum")
+        return next(iter(self.clock("force-quantum") + self.clock("quantum")), 0)

@@ -40,8 +40,7 @@ class Recording:
     @property
     def samples(self) -> NDArray[np.float32]:
         """All samples, (frames,)."""
-        blocks = [block for block, _ in self._blocks]
-        return np.concatenate(blocks) if blocks else np.zeros(0, np.float32)
+        return np.concatenate([np.zeros(0, np.float32), *(block for block, _ in self._blocks)])
 
     def start_s(self, near_frame: int) -> float:
         """Return the time of frame 0, from the arrivals near a frame: the earliest is right."""
@@ -54,10 +53,9 @@ class Recording:
 def delay_between(heard: Recording, felt: Recording) -> Delay:
     """Return the median delay from the start of each burst to half of its vibration's peak."""
     sound, vibration = np.abs(heard.samples), np.abs(felt.samples)
-    if sound.max(initial=0.0) < SILENT:
-        return Delay(was_played=True, reason="the output of the sound stayed silent")
-    if vibration.max(initial=0.0) < SILENT:
-        return Delay(was_played=True, reason="the output of the vibration stayed silent")
+    for name, samples in (("sound", sound), ("vibration", vibration)):
+        if samples.max(initial=0.0) < SILENT:
+            return Delay(was_played=True, reason=f"the output of the {name} stayed silent")
     loud = np.flatnonzero(sound > 0.1 * sound.max())
     found = []
     for onset in loud[np.diff(loud, prepend=-RATE_HZ) > 0.5 * BURST_S * RATE_HZ]:

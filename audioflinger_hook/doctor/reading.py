@@ -98,20 +98,14 @@ def _with_server(facts: Facts, environ: Mapping[str, str]) -> Facts:
     try:
         with closing(PulseConnection()) as connection:
             server, processes = connection.latest, connection.processes()
-            declared_s = connection.latencies_s()
+            latencies_s = connection.latencies_s()
     except (CushionError, OSError) as error:
         hangs = graph is None and _hangs(environ)
         return replace(facts, server_error=str(error), hangs=hangs, graph=graph)
     sinks = tuple(sink for sink in server.sinks if not sink.name.startswith(NAME))
-    players = _players(server, processes)
-    facts = replace(facts, server=replace(server, sinks=sinks), players=players)
-    if graph is None or server.kind != "PipeWire":
-        return replace(facts, declared_s=declared_s)
-    facts = replace(facts, graph=graph)
-    # A delay in cycles counts as cycles of the configured quantum.
-    cycle = facts.cycle_frames, graph.clock_hz
-    delays_s = {sink.name: graph.declared_s(sink.name, *cycle) or 0.0 for sink in sinks}
-    return replace(facts, declared_s=delays_s)
+    graph, players = graph if server.kind == "PipeWire" else None, _players(server, processes)
+    known = replace(facts, server=replace(server, sinks=sinks), players=players, graph=graph)
+    return replace(known, latencies_s=latencies_s)
 
 
 def _with_config(facts: Facts, find_mistakes: FindMistakes) -> Facts:

@@ -36,20 +36,19 @@ def unmute(facts: Facts, environ: Mapping[str, str]) -> str:
     might feel a sudden strong vibration. If the volume then is higher than before, mute it again.
     """
     with closing(PulseConnection()) as connection:
-        before = replace(facts, server=connection.latest).felt
-        if before is None:
+        now = replace(facts, server=connection.latest)
+        if (before := now.felt) is None:
             return "The output of the vibration is gone."
-        if replace(facts, server=connection.latest).plays(before):
-            return f"{before.name!r} stays muted, because a stream plays to it now; pause it first."
+        muted = f"{before.name!r} stays muted, because"
+        if now.plays(before):
+            return f"{muted} a stream plays to it now; pause it first."
         if before.volume_db > 0.0:
-            return (
-                f"{before.name!r} stays muted, because its volume is above 100 %; lower it first."
-            )
+            return f"{muted} its volume is above 100 %; lower it first."
         connection.set_sink_mute(before.name, False)
         after = find_sink(connection.snapshot(), before.name)
         if after.volume_db > before.volume_db + ROUNDING_DB:
             connection.set_sink_mute(before.name, True)
-            return f"{before.name!r} stays muted, because unmuting raised its volume."
+            return f"{muted} unmuting raised its volume."
     return f"{before.name!r} was unmuted; its volume is still {before.volume_db:.1f} dB."
 
 

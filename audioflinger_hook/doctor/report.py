@@ -96,11 +96,7 @@ def rows(facts: Facts) -> Iterator[tuple[str, str]]:
     yield "PipeWire", f"{facts.pipewire or 'none'}, WirePlumber {facts.wireplumber or 'none'}"
     yield "server", f"{server.kind} {server.version}" if server else f"none: {facts.server_error}"
     if graph is not None:
-        forced = f" (forced to {facts.clock('force-rate')} Hz)" * bool(facts.clock("force-rate"))
-        cycle = f" (forced to {facts.cycle_frames})" * bool(facts.clock("force-quantum"))
-        allowed = ", ".join(map(str, facts.allowed_hz))
-        quantum = f"quantum {facts.clock('quantum')} frames{cycle}"
-        yield "graph", f"{facts.clock('rate')} Hz{forced}, allowed {allowed} Hz; {quantum}"
+        yield "graph", ", ".join(f"{key} {value}" for key, value in graph.settings.items())
     yield from (("sink", text) for text in _sinks(facts))
     yield from (("link", text) for text in (_links(graph) if graph else ()))
     yield "players", ", ".join(facts.players) or "none"
@@ -129,7 +125,9 @@ def _sinks(facts: Facts) -> Iterator[str]:
     server, graph = facts.server, facts.graph
     for sink in server.sinks if server else ():
         node = graph.sink(sink.name) if graph else None
-        declared_s = facts.declared_s.get(sink.name)
+        declared_s = facts.latencies_s.get(sink.name)
+        if graph is not None:  # a delay in cycles counts as cycles of the configured quantum
+            declared_s = graph.declared_s(sink.name, facts.cycle_frames, graph.clock_hz)
         parts = (
             f"{sink.name}: {sink.samplerate} Hz, {sink.channels} channels",
             f"volume {sink.volume_percent} %",
