@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 
+from audioflinger_hook.config.settings import LiveSettings
 from audioflinger_hook.config.toml_text import Mistake
 from audioflinger_hook.daemon.native.chain import NAME
 from audioflinger_hook.service.runtime_folder import Holder
@@ -73,11 +74,9 @@ class Facts:
     config_error: str = ""  # why it cannot be read
     mistakes: tuple[Mistake, ...] = ()
     config_warnings: tuple[str, ...] = ()
-    tap: str = "default"
-    device: str = ""
-    device_error: str = ""  # why it is not on the server
-    is_on_server: bool = True  # whether it is a sink
-    engine: str = "auto"
+    live: LiveSettings = field(default_factory=LiveSettings)
+    device_error: str = ""  # why its device is not on the server
+    is_on_server: bool = True  # whether its device is a sink
 
     # folders, and the plugin's files
     folders: tuple[Folder, ...] = ()
@@ -102,7 +101,7 @@ class Facts:
             return None
         name = self.server.default_sink
         with suppress(CushionError):
-            address = parse_tap(self.status.tap.address if self.status else self.tap)
+            address = parse_tap(self.status.tap.address if self.status else self.live.tap[0])
             name = address.name if address.kind == "sink" else name
         return self.server.sink(name)
 
@@ -110,8 +109,8 @@ class Facts:
     def felt(self) -> Sink | None:
         """The output of the vibration: the daemon's, else the config's."""
         with suppress(CushionError):
-            address = self.status.device.address if self.status else self.device
-            return parse_device(address).sink(self.server) if self.server else None
+            address = self.status.device.address if self.status else self.live.device
+            return parse_device(address or "").sink(self.server) if self.server else None
         return None
 
     def plays(self, sink: Sink) -> bool:

@@ -117,18 +117,15 @@ def _with_config(facts: Facts, find_mistakes: FindMistakes) -> Facts:
     except CushionError as error:
         return replace(facts, config_error=str(error))
     facts = replace(facts, mistakes=tuple(mistakes), config_warnings=tuple(warnings))
-    if found is None:
-        return facts
-    tap, device, engine = found.live.tap[0], found.live.device or "", found.live.engine
-    facts = replace(facts, tap=tap, device=device, engine=engine)
-    if device and (address := parse_device(device)).kind not in SERVER_DEVICES:
-        return replace(facts, is_on_server=False)
+    if found is None or not found.live.device:
+        return replace(facts, live=found.live) if found else facts
+    facts, address = replace(facts, live=found.live), parse_device(found.live.device)
     try:
-        if device and facts.server:
+        if (is_on_server := address.kind in SERVER_DEVICES) and facts.server:
             address.sink(facts.server)
     except CushionError as error:
         return replace(facts, device_error=str(error))
-    return facts
+    return replace(facts, is_on_server=is_on_server)
 
 
 def _with_daemon(facts: Facts, clock: Callable[[], float], environ: Mapping[str, str]) -> Facts:

@@ -61,7 +61,7 @@ def _private_words(facts: Facts) -> Iterator[str]:
             yield value
         if "is not TOML" in mistake.problem:
             yield mistake.key  # the text of the line
-    addresses = [facts.tap, facts.device]
+    addresses = [*facts.live.tap, facts.live.device or ""]
     if facts.status is not None:
         addresses += [facts.status.tap.address, facts.status.device.address]
     for address in addresses:
@@ -100,7 +100,8 @@ def rows(facts: Facts) -> Iterator[tuple[str, str]]:
     yield from (("sink", text) for text in _sinks(facts))
     yield from (("link", text) for text in (_links(graph) if graph else ()))
     yield "players", ", ".join(facts.players) or "none"
-    yield "config", facts.config_error or f"tap {facts.tap}, device {facts.device or 'none'}"
+    live = facts.live
+    yield "config", facts.config_error or f"tap {live.tap[0]}, device {live.device or 'none'}"
     for folder in facts.folders:
         free = "" if folder.free_bytes is None else f"{folder.free_bytes / 2**20:.1f} MB free"
         yield f"{folder.what} folder", folder.problem or free

@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
+from audioflinger_hook.config.settings import LiveSettings
 from audioflinger_hook.config.toml_text import Mistake
-from audioflinger_hook.doctor.checks import find
+from audioflinger_hook.doctor.checks import TEXTS, find
 from audioflinger_hook.doctor.facts import Delay, Facts, Folder
 from audioflinger_hook.doctor.repair import REPAIRS
 from audioflinger_hook.doctor.report import facts_text, findings_text
-from audioflinger_hook.doctor.texts import TEXTS
 from audioflinger_hook.service.runtime_folder import Holder
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Endpoint, GraphFigures, Status
@@ -58,7 +58,7 @@ HEALTHY = Facts(
     server=SERVER,
     players=("process 7",),
     graph=graph(),
-    device="sink:haptic",
+    live=LiveSettings(device="sink:haptic"),
     folders=(Folder("state", "/state", 1 << 30),),
     is_built=True,
     status=STATUS,
@@ -177,10 +177,10 @@ def test_a_warning_of_the_config_is_a_finding() -> None:
 
 
 def test_a_device_is_needed_while_no_daemon_plays() -> None:
-    assert names(replace(IDLE, device="")) == ["no-device-chosen", "no-daemon"]
-    gone = replace(IDLE, device="sink:dac", device_error="there is no sink 'dac'")
+    assert names(replace(IDLE, live=LiveSettings())) == ["no-device-chosen", "no-daemon"]
+    gone = replace(IDLE, device_error="there is no sink 'dac'")
     assert names(gone) == ["no-device", "no-daemon"]
-    assert names(changed(device="")) == []
+    assert names(changed(live=LiveSettings())) == []
 
 
 def test_a_device_beside_the_server_needs_no_engine_of_the_server() -> None:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from audioflinger_hook.config.settings import LiveSettings
 from audioflinger_hook.config.toml_text import Mistake
 from audioflinger_hook.doctor.checks import find
 from audioflinger_hook.doctor.report import HIDDEN, anonymous, full_report
@@ -59,8 +60,8 @@ def test_the_values_of_a_config_are_hidden_and_its_keys_stay() -> None:
         Mistake('tap = "app:secret', 2, "", "is not TOML (unclosed)", "key = value"),
         Mistake("gain_db", 3, "99", "is out of range", "-60 to 24"),
     )
-    status = replace(STATUS, tap=Endpoint("app:secret"))
-    facts = replace(HEALTHY, mistakes=mistakes, tap="app:secret", status=status)
+    live, status = LiveSettings(tap=("app:secret",)), replace(STATUS, tap=Endpoint("app:secret"))
+    facts = replace(HEALTHY, mistakes=mistakes, live=live, status=status)
     text = full_report(facts, find(facts), [], PERSON)
     assert "secret" not in text
     assert "effects_file" in text
