@@ -12,7 +12,6 @@ from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from audioflinger_hook.cli.check import find_mistakes
 from audioflinger_hook.doctor.checks import find
 from audioflinger_hook.doctor.measurement import measure
 from audioflinger_hook.doctor.reading import read_facts
@@ -28,11 +27,11 @@ def run(options: argparse.Namespace) -> int:
     """Print findings and facts. Exit code 0: nothing is wrong; 1: there are findings."""
     if not options.debug:
         filter_stderr()
-    facts = read_facts(os.environ, time.monotonic, find_mistakes)
+    facts = read_facts(os.environ, time.monotonic)
     repaired = list[str]()
     if options.fix and (due := [one for one in find(facts) if one.name in REPAIRS]):
         repaired = [repair(one, facts, os.environ) for one in due]
-        facts = read_facts(os.environ, time.monotonic, find_mistakes)
+        facts = read_facts(os.environ, time.monotonic)
     if options.measure:
         facts = replace(facts, delay=measure(facts))
     findings = find(facts)

@@ -256,16 +256,13 @@ def _rates(facts: Facts) -> Iterator[Fault]:
     graph, forced_hz = facts.graph, facts.clock("force-rate")
     if graph is None or not graph.clock_hz:
         return
-    sinks = []
-    for sink in (facts.heard, facts.felt):
-        node = graph.sink(sink.name) if sink else None
-        # A suspended sink of a card may run at another rate than it says.
-        is_known = node is None or node.state == "running" or "audio.rate" in node.properties
-        if sink is not None and is_known and sink not in sinks:
-            sinks.append(sink)
-    used_hz = {sink.samplerate for sink in sinks}
+    sinks = {sink.name: sink for sink in (facts.heard, facts.felt) if sink}
+    for node in filter(None, map(graph.sink, list(sinks))):
+        if node.state != "running" and "audio.rate" not in node.properties:
+            del sinks[node.name]  # a suspended sink of a card may run at another rate than it says
+    used_hz = {sink.samplerate for sink in sinks.values()}
     can_switch = not forced_hz and len(used_hz) == 1 and used_hz <= {*facts.clock("allowed-rates")}
-    for sink in sinks:
+    for sink in sinks.values():
         if sink.samplerate != graph.clock_hz and not can_switch:
             case = "forced" if forced_hz else "alone" if len(used_hz) == 1 else "both"
             yield f"rate-clash {case}", {"sink": sink}

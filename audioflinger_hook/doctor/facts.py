@@ -36,14 +36,13 @@ class Folder:
 class Delay:
     """A measured delay from sound to vibration. delay_ms: None if it could not be measured.
 
-    bursts: number of bursts whose vibration was found. cycle_ms: the true delay may be this much
-    longer, because the monitor of a sink that drives PipeWire's graph is one cycle late.
+    The true delay may be one cycle of PipeWire's graph longer, because the monitor of a sink that
+    drives the graph is one cycle late. bursts: number of bursts whose vibration was found.
     was_played: whether the bursts were played. reason: why the delay is unknown.
     """
 
     delay_ms: float | None = None
     bursts: int = 0
-    cycle_ms: float = 0.0
     was_played: bool = False
     reason: str = ""
 
@@ -60,7 +59,7 @@ class Facts:
     is_root: bool = False
     is_realtime: bool = False  # whether an audio thread gets real-time priority
     rtprio_limit: int = 0  # soft limit RLIMIT_RTPRIO
-    rtkit: bool | None = None  # whether it is on the system bus; None if no program can ask the bus
+    rtkit: bool | None = None  # whether it is on the system bus; None if the bus does not answer
 
     # the sound server
     server: ServerSnapshot | None = None  # without a daemon's silent helper sinks

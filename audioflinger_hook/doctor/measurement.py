@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from contextlib import ExitStack, closing
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,7 +113,4 @@ def measure(facts: Facts) -> Delay:
             threading.Event().wait(STARTS_WITHIN_S + LASTS_S)
     except CushionError as error:
         return Delay(reason=str(error))
-    found = delay_between(*recordings)
-    if facts.graph is None or not facts.graph.clock_hz:
-        return found
-    return replace(found, cycle_ms=round(1e3 * facts.cycle_frames / facts.graph.clock_hz, 2))
+    return delay_between(*recordings)

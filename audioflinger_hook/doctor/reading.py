@@ -20,13 +20,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from audioflinger_hook import __version__
-from audioflinger_hook.config.file import Config, default_path
-from audioflinger_hook.config.toml_text import Mistake
+from audioflinger_hook.config.file import default_path
 from audioflinger_hook.core import library_path
 from audioflinger_hook.daemon.native.abilities import missing_parts
 from audioflinger_hook.daemon.native.chain import NAME
 from audioflinger_hook.daemon.run_config import SERVER_DEVICES
 from audioflinger_hook.doctor.facts import OURS, Facts, Folder
+from audioflinger_hook.pipeline.config_check import find_mistakes
 from audioflinger_hook.plugin.install import Places
 from audioflinger_hook.service.install import NAME as SERVICE
 from audioflinger_hook.service.install import state_folder
@@ -43,27 +43,19 @@ from device.stream.pcms import missing_plugin
 
 ANSWER_S = 3.0  # longest time in s for one program, server or daemon to answer
 
-FindMistakes = Callable[[Path], tuple[Config | None, list[str], list[Mistake]]]
-
-_RTKIT = "org.freedesktop.RealtimeKit1"
 _BUS = "org.freedesktop.DBus"
-# Programs that list the services of the system bus; the first that exists is used.
-_BUS_COMMANDS = (
-    f"busctl --system call {_BUS} / {_BUS} ListActivatableNames".split(),
-    f"dbus-send --system --print-reply --dest={_BUS} / {_BUS}.ListActivatableNames".split(),
+_LIST_SERVICES = (  # of the system bus, with one of two programs
+    f"busctl --system call {_BUS} / {_BUS} ListActivatableNames || "
+    f"dbus-send --system --print-reply --dest={_BUS} / {_BUS}.ListActivatableNames"
 )
 
 
-def read_facts(
-    environ: Mapping[str, str], clock: Callable[[], float], find_mistakes: FindMistakes
-) -> Facts:
+def read_facts(environ: Mapping[str, str], clock: Callable[[], float]) -> Facts:
     """Return all facts but the measured delay, in about 15 s even if nothing answers.
 
-    Only the main thread may call it. clock: returns seconds. find_mistakes: returns settings,
-    warnings and mistakes of a config file.
+    Only the main thread may call it. clock: returns seconds.
     """
-    facts = _with_server(_machine(environ), environ)
-    return _with_daemon(_with_config(facts, find_mistakes), clock, environ)
+    return _with_daemon(_with_config(_with_server(_machine(environ), environ)), clock, environ)
 
 
 def _machine(environ: Mapping[str, str]) -> Facts:
@@ -108,7 +100,7 @@ def _with_server(facts: Facts, environ: Mapping[str, str]) -> Facts:
     return replace(known, latencies_s=latencies_s)
 
 
-def _with_config(facts: Facts, find_mistakes: FindMistakes) -> Facts:
+def _with_config(facts: Facts) -> Facts:
     path = default_path()
     if not path.exists():
         return facts
@@ -170,8 +162,8 @@ def _gets_realtime() -> bool:
 
 
 def _rtkit() -> bool | None:
-    asked = next((one for one in _BUS_COMMANDS if shutil.which(one[0])), None)
-    return None if asked is None else _RTKIT in _printed(*asked)
+    names = _printed("sh", "-c", _LIST_SERVICES)
+    return "org.freedesktop.RealtimeKit1" in names if names else None
 
 
 def _runtime_folder(environ: Mapping[str, str]) -> Path:

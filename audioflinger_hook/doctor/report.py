@@ -117,9 +117,8 @@ def rows(facts: Facts) -> Iterator[tuple[str, str]]:
     if delay is not None and delay.delay_ms is None:
         yield "measured delay", delay.reason
     elif delay is not None:
-        found = f"median of {delay.bursts} bursts"
-        more = f"the true delay is up to {delay.cycle_ms:.1f} ms more"
-        yield "measured delay", f"{delay.delay_ms:.1f} ms ({found}; {more})"
+        found = f"median of {delay.bursts} bursts; the true delay is up to one cycle more"
+        yield "measured delay", f"{delay.delay_ms:.1f} ms ({found})"
 
 
 def _sinks(facts: Facts) -> Iterator[str]:
