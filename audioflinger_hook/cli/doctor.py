@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> int:
     facts = read_facts(os.environ, time.monotonic)
     repaired = list[str]()
     if options.fix and (due := [one for one in find(facts) if one.name in REPAIRS]):
-        repaired = [repair(one, facts, os.environ) for one in due]
+        repaired = [repair(one.name, facts, os.environ) for one in due]
         facts = read_facts(os.environ, time.monotonic)
     if options.measure:
         facts = replace(facts, delay=measure(facts))

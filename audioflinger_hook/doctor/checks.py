@@ -233,10 +233,10 @@ def _repeated(facts: Facts) -> Iterator[Fault]:
     yield from (("config mistake", {"mistake": one}) for one in facts.mistakes)
     yield from (("config warning", {"warning": one}) for one in facts.config_warnings)
     for one in facts.folders:
-        free_kb, least_kb = (one.free_bytes or 0) >> 10, FREE_MIN_BYTES >> 10
+        free_kb, least_kb = one.free_bytes >> 10, FREE_MIN_BYTES >> 10
         if one.problem:
             yield "folder", {"folder": one}
-        elif one.free_bytes is not None and free_kb < least_kb:
+        elif free_kb < least_kb:
             named = {"free_kb": free_kb, "least_kb": least_kb, "word": shlex.quote(one.path)}
             yield "disk-full", {"folder": one, **named}
     status, players = facts.status, facts.players

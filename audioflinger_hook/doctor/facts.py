@@ -28,7 +28,7 @@ class Folder:
 
     what: str
     path: str
-    free_bytes: int | None = None
+    free_bytes: int = 0
     problem: str = ""
 
 

@@ -100,8 +100,7 @@ def measure(facts: Facts) -> Delay:
     recordings = Recording(), Recording()
     try:
         with ExitStack() as stack:
-            names = "cushion_heard", "cushion_felt", "cushion_bursts"
-            config = stack.enter_context(closing(PcmConfig(*names, role=ROLE)))
+            config = stack.enter_context(closing(PcmConfig("heard", "felt", "bursts", role=ROLE)))
             *monitors, output = config.pcms.values()
             for recording, sink, pcm in zip(recordings, (heard, felt), monitors, strict=True):
                 pcm.target = ServerDevice(f"{sink.name}.monitor")

@@ -39,7 +39,7 @@ from device.server.graph import Graph
 from device.server.graph_watch import READER
 from device.server.identity import is_ours
 from device.stream import AudioPriority
-from device.stream.pcms import missing_plugin
+from device.stream.pcms import FALLBACK_SINK, missing_plugin
 
 ANSWER_S = 3.0  # longest time in s for one program, server or daemon to answer
 
@@ -94,7 +94,7 @@ def _with_server(facts: Facts, environ: Mapping[str, str]) -> Facts:
     except (CushionError, OSError) as error:
         hangs = graph is None and _hangs(environ)
         return replace(facts, server_error=str(error), hangs=hangs, graph=graph)
-    sinks = tuple(sink for sink in server.sinks if not sink.name.startswith(NAME))
+    sinks = tuple(one for one in server.sinks if not one.name.startswith((NAME, FALLBACK_SINK)))
     graph, players = graph if server.kind == "PipeWire" else None, _players(server, processes)
     known = replace(facts, server=replace(server, sinks=sinks), players=players, graph=graph)
     return replace(known, latencies_s=latencies_s)
@@ -176,15 +176,16 @@ def _folder(what: str, path_of: Callable[[], Path], named: str = "") -> Folder:
     """Return the facts of a folder. named: the path that the user gave."""
     try:
         path = path_of()
-    except CushionError as error:
+        existing = next((one for one in (path, *path.parents) if one.exists()), Path("/"))
+        free_bytes = shutil.disk_usage(existing).free
+    except (CushionError, OSError) as error:
         return Folder(what, named, problem=str(error))
-    existing = next((one for one in (path, *path.parents) if one.exists()), Path("/"))
     problem = ""
     if not existing.is_dir():
         problem = f"{existing} is not a folder; rename or remove it"
     elif not os.access(existing, os.W_OK | os.X_OK):
         problem = f"this user may not write to {existing}; change its owner or rights"
-    return Folder(what, str(path), shutil.disk_usage(existing).free, problem)
+    return Folder(what, str(path), free_bytes, problem)
 
 
 def _installed(environ: Mapping[str, str]) -> str:

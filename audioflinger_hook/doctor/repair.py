@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from audioflinger_hook.config.profiles import LIVE_DEFAULT
-from audioflinger_hook.doctor.checks import Finding
 from audioflinger_hook.doctor.facts import Facts
 from audioflinger_hook.plugin.install import RATES_HZ, Places, install
 from audioflinger_hook.service.runtime_folder import LOCK_NAME, DaemonLock, Holder, RuntimeFolder
@@ -21,12 +20,12 @@ from device.server.identity import find_sink
 ROUNDING_DB = 0.01  # volumes of a server that differ by less are the same
 
 
-def repair(finding: Finding, facts: Facts, environ: Mapping[str, str]) -> str:
-    """Repair a finding; return what was done, in one sentence. Only the main thread may call it."""
+def repair(name: str, facts: Facts, environ: Mapping[str, str]) -> str:
+    """Repair the finding `name`; return what was done. Only the main thread may call it."""
     try:
-        return REPAIRS[finding.name](facts, environ)
+        return REPAIRS[name](facts, environ)
     except (CushionError, OSError) as error:
-        return f"{finding.name} was not repaired: {error}."
+        return f"{name} was not repaired: {error}."
 
 
 def unmute(facts: Facts, environ: Mapping[str, str]) -> str:

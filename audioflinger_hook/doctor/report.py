@@ -100,25 +100,25 @@ def rows(facts: Facts) -> Iterator[tuple[str, str]]:
     yield from (("sink", text) for text in _sinks(facts))
     yield from (("link", text) for text in (_links(graph) if graph else ()))
     yield "players", ", ".join(facts.players) or "none"
-    live = facts.live
-    yield "config", facts.config_error or f"tap {live.tap[0]}, device {live.device or 'none'}"
+    chosen = f"tap {facts.live.tap[0]}, device {facts.live.device or 'none'}"
+    yield "config", facts.config_error or chosen
     for folder in facts.folders:
-        free = "" if folder.free_bytes is None else f"{folder.free_bytes / 2**20:.1f} MB free"
+        free = f"{folder.free_bytes / 2**20:.1f} MB free"
         yield f"{folder.what} folder", folder.problem or free
     built = "built" if facts.is_built else "missing"
     yield "plugin", f"{built}; installed copy: {facts.installed or 'none'}"
-    if facts.status is None:
+    if (status := facts.status) is None:
         yield "daemon", facts.daemon_error or "none"
     else:
-        shown = status_rows(replace(facts.status, reason=""))  # a finding has the complete reason
-        labels = _STATUS_ROWS.split()
-        yield from ((f"daemon {row.label}", str(row)) for row in shown if row.label in labels)
-        yield "daemon engine", f"{facts.status.engine} {facts.status.engine_reason}".rstrip()
+        for row in status_rows(replace(status, reason="")):  # a finding has the complete reason
+            if row.label in _STATUS_ROWS.split():
+                yield f"daemon {row.label}", str(row)
+        yield "daemon engine", ": ".join(filter(None, (status.engine, status.engine_reason)))
     if delay is not None and delay.delay_ms is None:
         yield "measured delay", delay.reason
     elif delay is not None:
-        found = f"median of {delay.bursts} bursts; the true delay is up to one cycle more"
-        yield "measured delay", f"{delay.delay_ms:.1f} ms ({found})"
+        more = "; the true delay is up to one cycle more" if graph else ""
+        yield "measured delay", f"{delay.delay_ms:.1f} ms (median of {delay.bursts} bursts{more})"
 
 
 def _sinks(facts: Facts) -> Iterator[str]:

@@ -40,7 +40,7 @@ class Sink:
     @property
     def volume_percent(self) -> int:
         """The volume as sound settings show it."""
-        return round(100.0 * 10.0 ** (self.volume_db / 60.0))
+        return round(100.0 * math.pow(10.0, self.volume_db / 60.0))
 
     @property
     def weakened(self) -> str:

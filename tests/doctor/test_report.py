@@ -7,7 +7,8 @@ import pytest
 from audioflinger_hook.config.settings import LiveSettings
 from audioflinger_hook.config.toml_text import Mistake
 from audioflinger_hook.doctor.checks import find
-from audioflinger_hook.doctor.report import HIDDEN, anonymous, full_report
+from audioflinger_hook.doctor.facts import Delay
+from audioflinger_hook.doctor.report import HIDDEN, anonymous, facts_text, full_report
 from audioflinger_hook.service.status import Application, Endpoint
 from device.server.graph import Graph
 from tests.doctor.test_findings import HEALTHY, SERVER, STATUS
@@ -86,3 +87,9 @@ def test_the_report_shows_no_name_of_an_application_a_stream_or_a_rule() -> None
     assert "secret" not in text
     assert "stream 70 -> haptic-cushion-7-1.tap (active) x 1" in text
     assert "running, for 1.0 s" in text
+
+
+def test_on_pulseaudio_a_measured_delay_is_not_a_cycle_longer() -> None:
+    delay = Delay(12.3, bursts=4, was_played=True)
+    assert "median of 4 bursts; the true" in facts_text(replace(HEALTHY, delay=delay))
+    assert "12.3 ms (median of 4 bursts)" in facts_text(replace(HEALTHY, delay=delay, graph=None))
