@@ -9,41 +9,29 @@ import os
 import platform
 import time
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
-from audioflinger_hook.cli.check import find_mistakes
-from audioflinger_hook.doctor.checks import Finding, find
-from audioflinger_hook.doctor.facts import Facts
-from audioflinger_hook.doctor.gather import gather
+from audioflinger_hook.doctor.checks import find
 from audioflinger_hook.doctor.measurement import measure
-from audioflinger_hook.doctor.repair import repair
-from audioflinger_hook.doctor.report import Person, facts_text, findings_text, full_report
-from audioflinger_hook.service.json_codec import to_json
+from audioflinger_hook.doctor.reading import read_facts
+from audioflinger_hook.doctor.repair import REPAIRS, repair
+from audioflinger_hook.doctor.report import facts_text, findings_text, full_report, rows
 from device.atomic_file import write_bytes_atomically
 from device.stream import filter_stderr
 
 EXIT_FINDINGS = 1
 
 
-@dataclass(frozen=True)
-class Document:
-    """The document of `--json`."""
-
-    findings: list[Finding]
-    repaired: list[str]
-    facts: Facts
-
-
 def run(options: argparse.Namespace) -> int:
     """Print findings and facts. Exit code 0: nothing is wrong; 1: there are findings."""
     if not options.debug:
         filter_stderr()
-    facts, repaired = _facts(), list[str]()
-    findings = find(facts)
-    if options.fix and (due := [one for one in findings if one.repair]):
-        repaired = [repair(one, facts, os.environ) for one in due]
-        facts = _facts()
+    facts = read_facts(os.environ, time.monotonic)
+    repaired = list[str]()
+    if options.fix and (due := [one for one in find(facts) if one.name in REPAIRS]):
+        repaired = [repair(one.name, facts, os.environ) for one in due]
+        facts = read_facts(os.environ, time.monotonic)
     if options.measure:
         facts = replace(facts, delay=measure(facts))
     findings = find(facts)
@@ -51,18 +39,17 @@ def run(options: argparse.Namespace) -> int:
         text = full_report(facts, findings, repaired, _person())
         write_bytes_atomically(options.report, text.encode("utf-8", "replace"))
     if options.json:
-        print(json.dumps(json.loads(to_json(Document(findings, repaired, facts))), indent=2))
+        delay = asdict(facts.delay) if facts.delay else None
+        shown = {"findings": [asdict(one) for one in findings], "repaired": repaired}
+        print(json.dumps({**shown, "delay": delay, "facts": list(rows(facts))}, indent=2))
     else:
         print(findings_text(findings, repaired), facts_text(facts), sep="\n\n")
     return EXIT_FINDINGS if findings else 0
 
 
-def _facts() -> Facts:
-    return gather(os.environ, time.monotonic, find_mistakes)
-
-
-def _person() -> Person:
-    user = ""
+def _person() -> list[str]:
+    """Return the names of the user, of the home folder and of the machine."""
+    names = [str(Path("~").expanduser()), platform.node()]
     with suppress(KeyError, OSError):  # in a container the user may have no name
-        user = getpass.getuser()
-    return Person(user, str(Path("~").expanduser()), platform.node())
+        names.append(getpass.getuser())
+    return names

@@ -1,34 +1,25 @@
-"""Measures the delay from bursts of sound to their vibration, at the monitors of both sinks.
-
-A separate program plays the bursts, so that the daemon treats them as any other sound.
-"""
+"""Measures the delay from bursts of sound to their vibration, at the monitors of both sinks."""
 
 from __future__ import annotations
 
-import os
-import shutil
-import subprocess
-from collections.abc import Sequence
+import threading
 from contextlib import ExitStack, closing
-from dataclasses import replace
 
 import numpy as np
-import soundfile
 from numpy.typing import NDArray
 
 from audioflinger_hook.doctor.facts import Delay, Facts
 from audioflinger_hook.service.state import READY
 from device.errors import CushionError
-from device.process import memory_file
-from device.stream import CaptureStream, PcmConfig
+from device.stream import CaptureStream, PcmConfig, PlaybackStream
 from device.stream.pcms import ServerDevice
 from device.units import Float32Array
 
 RATE_HZ = 48_000
 BURST_S, BURSTS_AT_S, LASTS_S = 0.2, (0.8, 1.4, 2.0, 2.6), 3.0
 BURST_HZ, LEVEL = 150.0, 0.25
-PLAYS_WITHIN_S = 8.0  # longest time for a program to play LASTS_S
-PLAYERS = (("pw-play", "--target"), ("paplay", "--device"))
+STARTS_WITHIN_S = 1.0  # longest time from opening the streams until the sound is heard
+ROLE = "test"  # with this role, the daemon captures the bursts like any other sound
 
 SILENT = 1e-4  # amplitude of a recording without a burst
 FELT_WITHIN_S = 0.5  # time after a burst's start in which its vibration is looked for
@@ -48,8 +39,7 @@ class Recording:
     @property
     def samples(self) -> NDArray[np.float32]:
         """All samples, (frames,)."""
-        blocks = [block for block, _ in self._blocks]
-        return np.concatenate(blocks) if blocks else np.zeros(0, np.float32)
+        return np.concatenate([np.zeros(0, np.float32), *(block for block, _ in self._blocks)])
 
     def start_s(self, near_frame: int) -> float:
         """Return the time of frame 0, from the arrivals near a frame: the earliest is right."""
@@ -62,10 +52,9 @@ class Recording:
 def delay_between(heard: Recording, felt: Recording) -> Delay:
     """Return the median delay from the start of each burst to half of its vibration's peak."""
     sound, vibration = np.abs(heard.samples), np.abs(felt.samples)
-    if sound.max(initial=0.0) < SILENT:
-        return Delay(was_played=True, reason="the output of the sound stayed silent")
-    if vibration.max(initial=0.0) < SILENT:
-        return Delay(was_played=True, reason="the output of the vibration stayed silent")
+    for name, samples in (("sound", sound), ("vibration", vibration)):
+        if samples.max(initial=0.0) < SILENT:
+            return Delay(was_played=True, reason=f"the output of the {name} stayed silent")
     loud = np.flatnonzero(sound > 0.1 * sound.max())
     found = []
     for onset in loud[np.diff(loud, prepend=-RATE_HZ) > 0.5 * BURST_S * RATE_HZ]:
@@ -81,67 +70,46 @@ def delay_between(heard: Recording, felt: Recording) -> Delay:
     return Delay(round(float(np.median(found)), 2), len(found), was_played=True)
 
 
+class _Bursts:
+    """The sound of all bursts."""
+
+    def __init__(self) -> None:
+        time_s = np.arange(round(LASTS_S * RATE_HZ)) / RATE_HZ
+        is_on = [(time_s >= start_s) & (time_s < start_s + BURST_S) for start_s in BURSTS_AT_S]
+        burst = LEVEL * np.sin(2.0 * np.pi * BURST_HZ * time_s)
+        self._left = np.where(np.any(is_on, 0), burst, 0.0).astype(np.float32)
+
+    def fill(self, out: Float32Array, now_s: float) -> None:
+        """Write the next frames. Only the output's thread calls it."""
+        part, self._left = np.split(self._left, [len(out)])
+        out[: part.size] = part[:, None]
+
+
 def measure(facts: Facts) -> Delay:
     """Play bursts to the output of the sound for LASTS_S, and measure the vibration's delay.
 
     Only the main thread may call it, before other audio streams exist. It raises nothing.
     """
-    if reason := _why_not(facts):
-        return Delay(reason=reason)
-    player = next(player for player in PLAYERS if shutil.which(player[0]))
+    heard, felt = facts.heard, facts.felt
+    if facts.status is None or facts.status.state not in READY:
+        return Delay(reason="not measured: no daemon plays; start `cushion run`")
+    if heard is None or felt is None or heard == felt:
+        return Delay(reason="not measured: the outputs of sound and vibration are not two sinks")
+    if facts.plays(heard):
+        return Delay(reason="not measured: a program plays now; pause it")
     recordings = Recording(), Recording()
     try:
         with ExitStack() as stack:
-            pcms = stack.enter_context(closing(PcmConfig("cushion_heard", "cushion_felt")))
-            names = facts.heard, facts.felt
-            for recording, name, pcm in zip(recordings, names, pcms.pcms.values(), strict=True):
-                pcm.target = ServerDevice(f"{name}.monitor")
-                stream = CaptureStream(pcm, RATE_HZ, 1, recording.add)
-                stack.callback(stream.close)
-            _play([*player, facts.heard])
+            config = stack.enter_context(closing(PcmConfig("heard", "felt", "bursts", role=ROLE)))
+            *monitors, output = config.pcms.values()
+            for recording, sink, pcm in zip(recordings, (heard, felt), monitors, strict=True):
+                pcm.target = ServerDevice(f"{sink.name}.monitor")
+                stack.enter_context(closing(CaptureStream(pcm, RATE_HZ, 1, recording.add)))
+            output.target = ServerDevice(heard.name)
+            bursts = PlaybackStream(output, RATE_HZ, 2, _Bursts().fill)
+            stack.enter_context(closing(bursts))
+            bursts.audible = True
+            threading.Event().wait(STARTS_WITHIN_S + LASTS_S)
     except CushionError as error:
         return Delay(reason=str(error))
-    except (OSError, subprocess.SubprocessError) as error:
-        return Delay(reason=f"{player[0]} cannot play ({error})")
-    found = delay_between(*recordings)
-    graph = facts.server.graph
-    if graph is None or not graph.clock_hz:
-        return found
-    return replace(found, cycle_ms=round(1e3 * graph.cycle_frames / graph.clock_hz, 2))
-
-
-def _why_not(facts: Facts) -> str:
-    """Return why nothing can be measured, or ""."""
-    status, sink = facts.daemon.status, facts.server.sink(facts.heard)
-    if status is None or status.state not in READY:
-        return "not measured: no daemon plays; start `cushion run`"
-    if sink is None or facts.server.sink(facts.felt) is None or facts.heard == facts.felt:
-        return "not measured: the outputs of sound and vibration are not two sinks"
-    if sink.is_playing:
-        return "not measured: a program plays now; pause it"
-    if not any(shutil.which(program) for program, _ in PLAYERS):
-        return "not measured: pw-play and paplay are missing; install pipewire-bin"
-    return ""
-
-
-def _play(command: Sequence[str]) -> None:
-    """Play the bursts. OSError, SubprocessError: the program fails or hangs."""
-    time_s = np.arange(round(BURST_S * RATE_HZ)) / RATE_HZ
-    sound = np.zeros((round(LASTS_S * RATE_HZ), 2), np.float32)
-    for start_s in BURSTS_AT_S:
-        first = round(start_s * RATE_HZ)
-        burst = LEVEL * np.sin(2.0 * np.pi * BURST_HZ * time_s)
-        sound[first : first + len(burst)] = burst[:, None]
-    file = memory_file("bursts")
-    try:
-        path = f"/proc/{os.getpid()}/fd/{file}"
-        soundfile.write(path, sound, RATE_HZ, format="WAV", subtype="FLOAT")
-        subprocess.run(
-            [*command, path],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=PLAYS_WITHIN_S,
-            check=True,
-        )
-    finally:
-        os.close(file)
+    return delay_between(*recordings)

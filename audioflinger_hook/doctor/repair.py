@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 from collections.abc import Callable, Mapping
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 from audioflinger_hook.config.profiles import LIVE_DEFAULT
-from audioflinger_hook.doctor.checks import Finding
 from audioflinger_hook.doctor.facts import Facts
 from audioflinger_hook.plugin.install import RATES_HZ, Places, install
-from audioflinger_hook.service.runtime_folder import LOCK_NAME, RuntimeFolder
+from audioflinger_hook.service.runtime_folder import LOCK_NAME, DaemonLock, Holder, RuntimeFolder
 from device.atomic_file import make_private_folder
 from device.errors import CushionError
 from device.server import PulseConnection
@@ -21,12 +20,12 @@ from device.server.identity import find_sink
 ROUNDING_DB = 0.01  # volumes of a server that differ by less are the same
 
 
-def repair(finding: Finding, facts: Facts, environ: Mapping[str, str]) -> str:
-    """Repair a finding; return what was done, in one sentence. Only the main thread may call it."""
+def repair(name: str, facts: Facts, environ: Mapping[str, str]) -> str:
+    """Repair the finding `name`; return what was done. Only the main thread may call it."""
     try:
-        return REPAIRS[finding.repair](facts, environ)
+        return REPAIRS[name](facts, environ)
     except (CushionError, OSError) as error:
-        return f"{finding.name} was not repaired: {error}."
+        return f"{name} was not repaired: {error}."
 
 
 def unmute(facts: Facts, environ: Mapping[str, str]) -> str:
@@ -36,35 +35,27 @@ def unmute(facts: Facts, environ: Mapping[str, str]) -> str:
     might feel a sudden strong vibration. If the volume then is higher than before, mute it again.
     """
     with closing(PulseConnection()) as connection:
-        before = find_sink(connection.latest, facts.felt)
-        plays = any(
-            stream.device_index == before.index and not stream.corked
-            for stream in connection.latest.sink_inputs
-        )
-        if plays:
-            return f"{before.name!r} stays muted, because a stream plays to it now; pause it first."
+        now = replace(facts, server=connection.latest)
+        if (before := now.felt) is None:
+            return "The output of the vibration is gone."
+        muted = f"{before.name!r} stays muted, because"
+        if now.plays(before):
+            return f"{muted} a stream plays to it now; pause it first."
         if before.volume_db > 0.0:
-            return (
-                f"{before.name!r} stays muted, because its volume is above 100 %; lower it first."
-            )
+            return f"{muted} its volume is above 100 %; lower it first."
         connection.set_sink_mute(before.name, False)
         after = find_sink(connection.snapshot(), before.name)
         if after.volume_db > before.volume_db + ROUNDING_DB:
             connection.set_sink_mute(before.name, True)
-            return f"{before.name!r} stays muted, because unmuting raised its volume."
+            return f"{muted} unmuting raised its volume."
     return f"{before.name!r} was unmuted; its volume is still {before.volume_db:.1f} dB."
 
 
 def remove_lock(facts: Facts, environ: Mapping[str, str]) -> str:
-    """Remove the lock file of a daemon that no longer exists."""
+    """Remove the lock file of a daemon that no longer exists. UsageError: a daemon holds it."""
     with RuntimeFolder(environ, create=False) as folder:
-        flags = os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
-        file = os.open(LOCK_NAME, flags, dir_fd=folder.fd)
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # fails if a daemon holds it
+        with DaemonLock(folder, Holder(os.getpid(), "", "")):
             os.unlink(LOCK_NAME, dir_fd=folder.fd)
-        finally:
-            os.close(file)
         return f"{folder.path / LOCK_NAME} was removed."
 
 
@@ -77,15 +68,17 @@ def install_plugin(facts: Facts, environ: Mapping[str, str]) -> str:
 
 def make_folders(facts: Facts, environ: Mapping[str, str]) -> str:
     """Make the missing folders, accessible to this user only."""
-    paths = [folder.path for folder in facts.folders if folder.can_make]
-    for path in paths:
-        make_private_folder(Path(path))
-    return f"{', '.join(paths)} was made."
+    paths = [Path(folder.path) for folder in facts.folders if folder.problem]
+    missing = [path for path in paths if path.is_absolute() and not path.exists()]
+    for path in missing:
+        make_private_folder(path)
+    return f"{', '.join(map(str, missing)) or 'No folder'} was made."
 
 
+# {name of the finding: its repair}
 REPAIRS: Mapping[str, Callable[[Facts, Mapping[str, str]], str]] = {
-    "unmute": unmute,
-    "lock": remove_lock,
-    "plugin": install_plugin,
+    "device-muted": unmute,
+    "stale-lock": remove_lock,
+    "plugin-copy": install_plugin,
     "folder": make_folders,
 }

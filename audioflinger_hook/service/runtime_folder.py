@@ -13,12 +13,12 @@ from pathlib import Path
 
 from audioflinger_hook.service.json_codec import from_json, to_json
 from audioflinger_hook.service.one_line import one_line
-from device.errors import InternalError, NotFoundError, UsageError, WriteError
+from device.errors import CushionError, InternalError, NotFoundError, UsageError, WriteError
 
 VARIABLE = "XDG_RUNTIME_DIR"
 FOLDER_NAME = "cushion"
 LOCK_NAME = "daemon.lock"
-HOLDER_BYTES_MAX = 4096
+_HOLDER_BYTES_MAX = 4096
 
 _OPEN_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 # The sticky bit protects the file from programs that clean runtime folders.
@@ -43,7 +43,7 @@ class RuntimeFolder:
     """
 
     def __init__(self, environ: Mapping[str, str], create: bool) -> None:
-        self.path = _place(environ)
+        self.path = folder_path(environ)
         try:
             if create:
                 with contextlib.suppress(FileExistsError):
@@ -147,7 +147,24 @@ class DaemonLock:
         self.release()
 
 
-def _place(environ: Mapping[str, str]) -> Path:
+def read_lock(environ: Mapping[str, str]) -> tuple[Holder | None, bool]:
+    """Return the daemon that the lock file names, and whether a process holds the lock.
+
+    This reads the kernel's list of locks: to try the lock could stop a daemon that starts now.
+    """
+    holder, is_locked = None, False
+    with contextlib.suppress(CushionError, OSError), RuntimeFolder(environ, create=False) as folder:
+        flags = _OPEN_LOCK & ~(os.O_RDWR | os.O_CREAT)
+        with os.fdopen(os.open(LOCK_NAME, flags, dir_fd=folder.fd), "rb") as file:
+            number = f":{os.fstat(file.fileno()).st_ino} "
+            locks = Path("/proc/locks").read_text().splitlines()
+            is_locked = any(number in one and "FLOCK" in one for one in locks)
+            holder = from_json(Holder, file.read(_HOLDER_BYTES_MAX))
+    return holder, is_locked
+
+
+def folder_path(environ: Mapping[str, str]) -> Path:
+    """Return the path of `RuntimeFolder`. UsageError: the variable is not a usable path."""
     user = os.geteuid()
     text = environ.get(VARIABLE, "")
     base = Path(text or f"/run/user/{user}")
@@ -193,7 +210,7 @@ def _held(fd: int) -> UsageError:
     """Return the error for a lock that another daemon holds, with the holder if known."""
     who = ""
     with contextlib.suppress(OSError, OverflowError, UsageError):
-        holder = from_json(Holder, os.pread(fd, HOLDER_BYTES_MAX, 0))
+        holder = from_json(Holder, os.pread(fd, _HOLDER_BYTES_MAX, 0))
         # The file may still name an earlier daemon, whose process does not exist.
         os.kill(max(1, holder.pid), 0)
         started, device = one_line(holder.started, 40), one_line(holder.device, 80)

@@ -38,9 +38,14 @@ class Sink:
     mute: bool = False
 
     @property
+    def volume_percent(self) -> int:
+        """The volume as sound settings show it."""
+        return round(100.0 * math.pow(10.0, self.volume_db / 60.0))
+
+    @property
     def weakened(self) -> str:
         """What lowers the sink's level: "muted" or, for example, "volume 30 %"; "" for nothing."""
-        percent = round(100.0 * 10.0 ** (self.volume_db / 60.0))
+        percent = self.volume_percent
         return "muted" if self.mute else f"volume {percent} %" if percent < 100 else ""
 
     @property

@@ -4,14 +4,18 @@ from dataclasses import replace
 
 import pytest
 
+from audioflinger_hook.config.settings import LiveSettings
 from audioflinger_hook.config.toml_text import Mistake
 from audioflinger_hook.doctor.checks import find
-from audioflinger_hook.doctor.facts import ConfigFacts
-from audioflinger_hook.doctor.report import HIDDEN, Person, anonymous, full_report
-from audioflinger_hook.service.status import Endpoint
-from tests.doctor.test_findings import HEALTHY, STATUS
+from audioflinger_hook.doctor.facts import Delay
+from audioflinger_hook.doctor.report import HIDDEN, anonymous, facts_text, full_report
+from audioflinger_hook.service.status import Application, Endpoint
+from device.server.graph import Graph
+from tests.doctor.test_findings import HEALTHY, SERVER, STATUS
+from tests.support.graphs import link, node, port
+from tests.support.snapshots import stream
 
-PERSON = Person("anna", "/home/anna", "annas-box")
+PERSON = ("anna", "/home/anna", "annas-box")
 
 
 @pytest.mark.parametrize(
@@ -57,11 +61,35 @@ def test_the_values_of_a_config_are_hidden_and_its_keys_stay() -> None:
         Mistake('tap = "app:secret', 2, "", "is not TOML (unclosed)", "key = value"),
         Mistake("gain_db", 3, "99", "is out of range", "-60 to 24"),
     )
-    config = ConfigFacts("/config.toml", True, mistakes=mistakes, tap="app:secret")
-    status = replace(STATUS, tap=Endpoint("app:secret"))
-    daemon = replace(HEALTHY.daemon, status=status)
-    facts = replace(HEALTHY, config=config, daemon=daemon)
+    live, status = LiveSettings(tap=("app:secret",)), replace(STATUS, tap=Endpoint("app:secret"))
+    facts = replace(HEALTHY, mistakes=mistakes, live=live, status=status)
     text = full_report(facts, find(facts), [], PERSON)
     assert "secret" not in text
     assert "effects_file" in text
     assert "gain_db = 99 is out of range" in text
+
+
+def test_the_report_shows_no_name_of_an_application_a_stream_or_a_rule() -> None:
+    known = {"binary": "secret", "application": "secret", "media": "secret"}
+    server = replace(SERVER, sink_inputs=(stream(9, 1, "desktop", **known),))
+    status = replace(
+        STATUS,
+        reason="waits for secret",
+        rule="secret",
+        tap=Endpoint("default", "secret"),
+        applications=(Application("secret", plays=True, is_felt=True),),
+    )
+    chain = Graph()
+    chain.apply([node(60, "haptic-cushion-7-1.tap"), port(61, 60, "input_AUX0")])
+    chain.apply([node(70, "secret"), port(71, 70, "output_FL")])
+    chain.apply([link(80, 71, 61, chain)])
+    text = full_report(replace(HEALTHY, server=server, graph=chain, status=status), [], [], PERSON)
+    assert "secret" not in text
+    assert "stream 70 -> haptic-cushion-7-1.tap (active) x 1" in text
+    assert "running, for 1.0 s" in text
+
+
+def test_on_pulseaudio_a_measured_delay_is_not_a_cycle_longer() -> None:
+    delay = Delay(12.3, bursts=4, was_played=True)
+    assert "median of 4 bursts; the true" in facts_text(replace(HEALTHY, delay=delay))
+    assert "12.3 ms (median of 4 bursts)" in facts_text(replace(HEALTHY, delay=delay, graph=None))

@@ -35,6 +35,10 @@ class Visit:
         self.wrong = {one["name"]: one["wrong"] for one in found}
         self.commands = {one["name"]: one["command"] for one in found}
 
+    def facts(self, label: str) -> str:
+        """The facts of one label, a line each."""
+        return "\n".join(text for known, text in self.document["facts"] if known == label)
+
 
 def visit(
     server: SoundServer,
@@ -76,11 +80,10 @@ def test_a_healthy_set_up_has_no_finding(configured) -> None:
         found = visit(configured, "--measure")
     assert found.names == []
     assert found.code == len(found.document["findings"])  # only a machine without real-time has any
-    delay = found.document["facts"]["delay"]
+    delay = found.document["delay"]
     assert delay["bursts"] >= 3
     assert 2.0 <= delay["delay_ms"] <= 30.0
-    links = found.document["facts"]["server"]["graph"]["links"]
-    assert any(".vibration -> haptic (" in link for link in links)
+    assert ".vibration -> haptic (" in found.facts("link")
 
 
 def test_no_server_is_named(configured) -> None:
@@ -190,7 +193,7 @@ def test_rtkit_on_the_bus_is_a_permission(configured, tmp_path) -> None:
         finally:
             bus.kill()
     assert "no-realtime" not in found.wrong
-    assert found.document["facts"]["system"]["rtkit"] is True
+    assert "rtkit present" in found.facts("real-time")
 
 
 def test_two_daemons_that_play_are_named_with_their_processes(server, tmp_path) -> None:
@@ -269,7 +272,7 @@ def test_a_full_disk_is_named_with_its_folder(configured, small_disk) -> None:
 def test_a_missing_runtime_folder_is_made(configured, tmp_path) -> None:
     folder = tmp_path / "run"
     variables = {"XDG_RUNTIME_DIR": str(folder)}
-    assert "runtime-folder" in visit(configured, variables=variables).names
+    assert "folder" in visit(configured, variables=variables).names
     assert visit(configured, "--fix", variables=variables).names == ["no-daemon"]
     assert folder.stat().st_mode & 0o777 == 0o700
 
