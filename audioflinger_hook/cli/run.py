@@ -219,7 +219,7 @@ def _keep_on(
             notes, warnings = supervisor.states.notes(), _warnings(supervisor)
             reporter.report(report, notes, warnings, now_s)
             reporter.show_meter(lambda: status_of(supervisor, time.monotonic()), now_s)
-            if watchdog.due(supervisor.engines.counts[0], report.state, now_s):
+            if watchdog.due(supervisor.engines.counts[1], report.state, now_s):
                 reporter.notifier.send("WATCHDOG=1")
             wake.wait(min(supervisor.rest_s, watchdog.check_s or supervisor.rest_s))
     finally:

@@ -92,11 +92,11 @@ class Engines:
 
     @property
     def counts(self) -> tuple[int, int]:
-        """Numbers of frames processed and of samples limited by the present engine."""
+        """Numbers of samples limited and of frames processed by the present engine."""
         native, python = self.native.engine, self.python
         if native is not None and native.chain is not None:
-            return native.chain.page.frames, native.chain.page.readings.limited
-        return (python.frames, python.framework.limited_samples) if python else (0, 0)
+            return native.chain.page.readings.limited, native.chain.page.frames
+        return (python.framework.limited_samples, python.frames) if python else (0, 0)
 
     @property
     def warnings(self) -> Iterator[str]:
