@@ -17,7 +17,7 @@ from audioflinger_hook.daemon.native.abilities import check_engine
 from audioflinger_hook.daemon.offset_store import OffsetStore
 from audioflinger_hook.daemon.outputs.base import Output
 from audioflinger_hook.daemon.resting import Resting
-from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
+from audioflinger_hook.daemon.run_config import Change, RunConfig, changes_between
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
 from audioflinger_hook.daemon.server_link import DropInControl, ServerLink
 from audioflinger_hook.daemon.timing import StallDetector, Wake
@@ -245,10 +245,10 @@ class Supervisor:
         if self.input.name and self.output.name:
             self.states.enter(DaemonState.RUNNING, now_s)
 
-    def follow(self, config: RunConfig, now_s: float) -> ConfigDiff:
-        """Apply another config; return the difference. After a UsageError, nothing has changed."""
+    def follow(self, config: RunConfig, now_s: float) -> set[Change]:
+        """Apply another config; return what differs. After a UsageError, nothing has changed."""
         self._apply(with_rule(config, self._acting.rule), now_s)
-        changes = ConfigDiff.between(self.user_config, config)
+        changes = changes_between(self.user_config, config)
         self.user_config = config
         return changes
 
@@ -260,10 +260,10 @@ class Supervisor:
 
     def _apply(self, config: RunConfig, now_s: float) -> None:
         """Apply another config with the rule that acts; see `follow`."""
-        changes, engine = ConfigDiff.between(self.config, config), self.engines.python
+        changes, engine = changes_between(self.config, config), self.engines.python
         self._endpoints.check_change(self.config, config)
         config.settings.transform_parameters  # noqa: B018 - reads the rig's file, once
-        if engine and changes.engine:  # raises if the new engine is impossible
+        if engine and Change.ENGINE in changes:  # raises if the new engine is impossible
             framework = Framework(engine.samplerate, engine.channels, config.settings)
             drive_of(config.settings, engine.samplerate, framework.haptic_channels)
         elif engine:
@@ -272,24 +272,24 @@ class Supervisor:
         self.config = config
         self.engines.follow(config, changes)
         self._endpoints.configure(config)
-        if changes.priority:
+        if Change.PRIORITY in changes:
             self.priority.set_wanted(config.live.realtime)
-        restarts = changes.engine
-        if changes.tap:
+        restarts = Change.ENGINE in changes
+        if Change.TAP in changes:
             restarts |= self._endpoints.retarget_input(config)
-        if changes.device:
+        if Change.DEVICE in changes:
             self._endpoints.retarget_output(config)
             if engine:
                 self.output.set_format(engine.samplerate, engine.drive.outputs)
         self._drop_in.follow(config)
         self.alignment.follow(config)
-        if restarts or changes.blocks:
+        if restarts or Change.BLOCKS in changes:
             self._endpoints.close()
         if restarts:
             if config.recording:
                 config.recording.end("another tap needs a new mix, which a replay cannot repeat")
             self.engines.drop()
-        if changes.any:
+        if changes:
             self._resting.end(now_s)
 
     def close(self, now_s: float, *, keep: bool = True) -> None:
