@@ -267,8 +267,7 @@ class Supervisor:
             framework = Framework(engine.samplerate, engine.channels, config.settings)
             drive_of(config.settings, engine.samplerate, framework.haptic_channels)
         elif engine:
-            set_s, present_s = config.live.offset_s, engine.delay_line.offset_s
-            engine.follow(config.settings, present_s if set_s is None else max(0.0, set_s))
+            engine.follow(config.settings)
         self.config = config
         self.engines.follow(config, changes)
         self._endpoints.configure(config)

@@ -172,13 +172,13 @@ def test_parameters_that_the_mix_cannot_have_are_refused_and_nothing_changes():
     assert low.mixer.cycle(0.0).frames_written
 
 
-def test_what_an_engine_cannot_have_changes_neither_level_nor_offset():
+def test_an_offset_that_an_engine_cannot_have_is_refused_and_changes_nothing():
     live = Live()
+    live.engine.delay_line.offset_s = 0.5
     with pytest.raises(UsageError, match="offset_s"):
-        live.engine.follow(Settings(gain_db=-20.0), 5.0)
-    assert live.engine.framework.settings == Settings()
-    live.engine.follow(Settings(gain_db=-20.0), 0.5)
+        live.engine.delay_line.offset_s = 5.0
     assert live.engine.delay_line.offset_s == 0.5
+    live.engine.follow(Settings(gain_db=-20.0))
     assert live.engine.framework.settings.gain_db == -20.0
 
 
