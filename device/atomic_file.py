@@ -154,6 +154,21 @@ def write_bytes_atomically(path: str | os.PathLike[str], content: bytes) -> None
         file.write(content)
 
 
+def write_private(path: Path, content: bytes) -> None:
+    """Write a file atomically; make its folder, if it is missing, for this user only."""
+    make_private_folder(path.parent)
+    write_bytes_atomically(path, content)
+
+
+def remove_file(path: Path) -> None:
+    """Remove a file or link, if there is one. UsageError: it cannot be removed."""
+    try:
+        with contextlib.suppress(NotADirectoryError):
+            path.unlink(missing_ok=True)
+    except OSError as error:
+        raise UsageError(f"cannot remove {path}: {error.strerror}; remove it yourself") from error
+
+
 def _refuse_unless_regular(path: Path) -> None:
     if not path.name:
         raise UsageError(f"cannot write {str(path)!r}: it has no file name; name a file")

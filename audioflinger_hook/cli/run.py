@@ -21,7 +21,7 @@ from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.live_control import LiveControl
 from audioflinger_hook.daemon.offset_store import OffsetStore
 from audioflinger_hook.daemon.recording import RunRecording
-from audioflinger_hook.daemon.run_config import LIVE_TAPS, PACED_TAPS, ConfigDiff, RunConfig
+from audioflinger_hook.daemon.run_config import LIVE_TAPS, PACED_TAPS, Change, RunConfig, words_of
 from audioflinger_hook.daemon.safety_keeper import Moment, SafetyKeeper
 from audioflinger_hook.daemon.status_report import status_of
 from audioflinger_hook.daemon.supervisor import Supervisor
@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
         signals.on_spinning = supervisor.priority.revoke
         edits = LiveEdits(options.config or config.default_path())
 
-        def follow(values: Edits, muted: bool) -> tuple[RunConfig, ConfigDiff]:
+        def follow(values: Edits, muted: bool) -> tuple[RunConfig, set[Change]]:
             """Read the config file again, and apply it with the edits `values`."""
             again = _run_config(options, values)
             again = dataclasses.replace(again, recording=recording, muted=muted)
@@ -83,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
             """Read the config file again, apply it, and return the changes as text."""
             again, changes = follow(edits.values, supervisor.config.muted)
             control.reloaded(again)
-            return str(changes)
+            return words_of(changes)
 
         control = LiveControl(supervisor, edits, follow_edits, wake.ring, run_config)
 
@@ -219,7 +219,7 @@ def _keep_on(
             notes, warnings = supervisor.states.notes(), _warnings(supervisor)
             reporter.report(report, notes, warnings, now_s)
             reporter.show_meter(lambda: status_of(supervisor, time.monotonic()), now_s)
-            if watchdog.due(supervisor.engines.counts[0], report.state, now_s):
+            if watchdog.due(supervisor.engines.counts[1], report.state, now_s):
                 reporter.notifier.send("WATCHDOG=1")
             wake.wait(min(supervisor.rest_s, watchdog.check_s or supervisor.rest_s))
     finally:

@@ -18,7 +18,12 @@ from audioflinger_hook.config import toml_text
 from audioflinger_hook.service import autostart
 from audioflinger_hook.service import install as service
 from audioflinger_hook.service.desktop_entry import install_page_entry, remove_page_entry
-from device.atomic_file import make_private_folder, write_bytes_atomically
+from device.atomic_file import (
+    make_private_folder,
+    remove_file,
+    write_bytes_atomically,
+    write_private,
+)
 from device.errors import CushionError, UsageError
 
 RECORDS_NAME = "setup-undo.json"
@@ -147,15 +152,9 @@ def _restore_config(record: Record) -> list[str]:
         kept = _copy(now or b"", path, "undone")
         done.append(f"{kept}: your later changes")
     if before is None:
-        try:
-            path.unlink(missing_ok=True)
-        except OSError as error:
-            raise UsageError(
-                f"cannot remove {path}: {error.strerror}; remove it yourself"
-            ) from error
+        remove_file(path)
         return [*done, f"{path}: removed"]
-    make_private_folder(path.parent)
-    write_bytes_atomically(path, before)
+    write_private(path, before)
     return [*done, f"{path}: as it was before"]
 
 
@@ -185,6 +184,5 @@ def _save(records: list[Record]) -> None:
         with suppress(OSError):  # if this fails, the write below reports the reason
             path.unlink(missing_ok=True)
             return
-    make_private_folder(path.parent)
     kept = [asdict(record) for record in records[-RECORDS_MAX:]]
-    write_bytes_atomically(path, json.dumps(kept, indent=1).encode())
+    write_private(path, json.dumps(kept, indent=1).encode())

@@ -15,7 +15,7 @@ from typing import Any
 
 from audioflinger_hook.config.schema import APPLICATION, ARRAYS, KEYS, Key, keys_of
 from audioflinger_hook.config.toml_text import lines_of_keys, text_of
-from device.atomic_file import make_private_folder, write_bytes_atomically
+from device.atomic_file import write_private
 from device.errors import InternalError, UsageError
 from device.values import Text, nearest
 
@@ -219,8 +219,7 @@ class LiveEdits:
         text = text_of(self._path, or_empty=True)
         changed = edited_text(text, self.values)
         if changed != text:
-            make_private_folder(self._path.parent)
-            write_bytes_atomically(self._path, changed.encode())
+            write_private(self._path, changed.encode())
         # The file now holds the edits, so undoing an edit must restore the file's earlier value.
         document = tomllib.loads(text)
         before = {name: _value(document, name) for name in self.values}

@@ -42,6 +42,11 @@ class Alignment:
         self._seen: Declared | None = None
 
     @property
+    def offset_s(self) -> float:
+        """Delay of the vibration, minus the delay of the sound in drop-in mode, in seconds."""
+        return self.offset.vibration_s - self._drop_in.delay_s
+
+    @property
     def warnings(self) -> list[str]:
         """Why stored or declared delays are not used, one line each."""
         declared = "" if self._config.live.offset_s is not None else self._declared.warning

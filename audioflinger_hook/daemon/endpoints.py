@@ -15,7 +15,7 @@ from audioflinger_hook.daemon.outputs.card import CardOutput
 from audioflinger_hook.daemon.outputs.paced import PacedOutput
 from audioflinger_hook.daemon.outputs.sink import SinkOutput
 from audioflinger_hook.daemon.pacing import Pacer
-from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
+from audioflinger_hook.daemon.run_config import Change, RunConfig, changes_between
 from audioflinger_hook.service.state import StateKeeper
 from device.errors import UsageError
 from device.stream import AudioPriority, PcmConfig
@@ -68,7 +68,7 @@ class Endpoints:
                 "daemon"
             )
         paced = [old.tap] * (not old.tap_is_live) + [old.device] * (not old.device_is_live)
-        if paced and ConfigDiff.between(old, new).engine:
+        if paced and Change.ENGINE in changes_between(old, new):
             raise UsageError(
                 "form, channels, effects_file, rig, damping, protection and the list of actuators "
                 f"cannot change while {str(paced[0])!r} is in use; restart the daemon"

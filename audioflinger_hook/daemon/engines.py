@@ -6,7 +6,7 @@ One engine ends before the other begins.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from pathlib import Path
 
 from audioflinger_hook.core.compiled_core import library
@@ -18,7 +18,7 @@ from audioflinger_hook.daemon.live_memory import live_memory
 from audioflinger_hook.daemon.native.abilities import why_not_tap, why_python
 from audioflinger_hook.daemon.native.run import NativeRun
 from audioflinger_hook.daemon.outputs.base import StreamOutput
-from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
+from audioflinger_hook.daemon.run_config import SLIGHT, Change, RunConfig
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
 from audioflinger_hook.drive.drive import DrivenRig
 from audioflinger_hook.service.state import StateKeeper
@@ -92,11 +92,11 @@ class Engines:
 
     @property
     def counts(self) -> tuple[int, int]:
-        """Numbers of frames processed and of samples limited by the present engine."""
+        """Numbers of samples limited and of frames processed by the present engine."""
         native, python = self.native.engine, self.python
         if native is not None and native.chain is not None:
-            return native.chain.page.frames, native.chain.page.readings.limited
-        return (python.frames, python.framework.limited_samples) if python else (0, 0)
+            return native.chain.page.readings.limited, native.chain.page.frames
+        return (python.framework.limited_samples, python.frames) if python else (0, 0)
 
     @property
     def warnings(self) -> Iterator[str]:
@@ -131,10 +131,10 @@ class Engines:
             self.safety.restore(rigs)
         self.safety.carry_over(self.rigs, rigs)
 
-    def follow(self, config: RunConfig, changes: ConfigDiff) -> None:
+    def follow(self, config: RunConfig, changes: Set[Change]) -> None:
         """Apply another config. changes: its differences from the current config."""
         self._config = config
-        if changes.concerns_engine:
+        if changes - SLIGHT:
             self._chosen_for = ()
         if self.python is not None and self._ends_s is None:
             self.python.mute.audible = not config.muted

@@ -232,18 +232,17 @@ class LiveControl:
         self._tone = subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing)
 
     def _sync(self, wanted: object) -> None:
-        actions = {"try_ms": self._supervisor.try_offset, "store_ms": self._supervisor.store_offset}
+        offset = self._supervisor.alignment.offset
+        actions: dict[str, Callable[[Any], None]]
+        actions = {"try_ms": offset.try_out, "store_ms": offset.store}
         if not isinstance(wanted, dict) or len(wanted) != 1 or not wanted.keys() <= set(actions):
             raise UsageError('sync takes {"try_ms": MS}, {"try_ms": null} or {"store_ms": MS}')
         ((name, offset_ms),) = wanted.items()
-        if name == "try_ms" and offset_ms is None:
-            self._supervisor.try_offset(None)
-            return
-        if type(offset_ms) not in (int, float):
+        ends = name == "try_ms" and offset_ms is None
+        if not ends and type(offset_ms) not in (int, float):
             raise UsageError(f"{name} takes a number of ms")
-        chosen = replace(self._config.live, offset_ms=offset_ms)  # UsageError: it is not allowed
-        assert chosen.offset_s is not None
-        actions[name](chosen.offset_s)
+        # UsageError: the offset is not allowed
+        actions[name](None if ends else replace(self._config.live, offset_ms=offset_ms).offset_s)
 
     def _tell(self) -> None:
         """Set `settings` to a new object, by which the status server detects the change."""

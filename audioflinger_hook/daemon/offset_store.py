@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from device.atomic_file import make_private_folder, write_bytes_atomically
+from device.atomic_file import write_private
 from device.errors import UsageError
 
 VERSION = 1
@@ -56,8 +56,7 @@ class OffsetStore:
             raise UsageError("there is no state folder for the delay; set XDG_STATE_HOME or HOME")
         kept = [{**one._asdict(), "delay_s": known_s} for one, known_s in self._delays_s.items()]
         text = json.dumps({"version": VERSION, "offsets": kept}, indent=1)
-        make_private_folder(self._folder)
-        write_bytes_atomically(self._folder / FILE, f"{text}\n".encode())
+        write_private(self._folder / FILE, f"{text}\n".encode())
 
     def _read(self, path: Path) -> None:
         try:

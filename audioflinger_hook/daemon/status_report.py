@@ -72,7 +72,7 @@ def _of_python(engine: Engine, supervisor: Supervisor) -> dict[str, Any]:
         ),
         "latency": figures.LatencyBudget.of(
             **parts_of_python(engine, *supervisor.latencies_s),
-            offset_ms=1e3 * supervisor.offset_s,
+            offset_ms=1e3 * supervisor.alignment.offset_s,
             delay_ms=1e3 * max(drive.delays_frames, default=0) / engine.samplerate,
         ),
         "delay_line": gathered(figures.DelayLineFigures, line),
@@ -95,7 +95,7 @@ def _of_native(native: NativeEngine, chain: Chain, supervisor: Supervisor) -> di
         "levels": figures.Levels() if resting else figures.Levels(*page.levels, channels),
         "latency": figures.LatencyBudget.of(
             **parts_of_native(native, chain),
-            offset_ms=1e3 * supervisor.offset_s,
+            offset_ms=1e3 * supervisor.alignment.offset_s,
             delay_ms=max((actuator.delay_ms for actuator in settings.actuators), default=0.0),
         ),
         "server": f"PipeWire {native.watch.graph.version}".rstrip(),

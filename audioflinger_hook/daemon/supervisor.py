@@ -17,7 +17,7 @@ from audioflinger_hook.daemon.native.abilities import check_engine
 from audioflinger_hook.daemon.offset_store import OffsetStore
 from audioflinger_hook.daemon.outputs.base import Output
 from audioflinger_hook.daemon.resting import Resting
-from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
+from audioflinger_hook.daemon.run_config import Change, RunConfig, changes_between
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
 from audioflinger_hook.daemon.server_link import DropInControl, ServerLink
 from audioflinger_hook.daemon.timing import StallDetector, Wake
@@ -46,7 +46,8 @@ class Supervisor:
     folder: private, for the native engine and the live page's shared memory; None disables both.
     safety: stores the coil temperatures and vibration doses for the next process.
     offsets: stores the delays that users have measured; None forgets them at the end.
-    config, user_config: with and without the [[application]] rule that acts.
+    config, user_config: with and without the [[application]] rule that acts. alignment: finds the
+    offset.
     config_error: why the latest config was not applied, or "".
     UsageError, NotFoundError: a file to play or to write cannot be used.
     """
@@ -74,7 +75,7 @@ class Supervisor:
             config, clocks, self._endpoints, self.states, folder, wake.ring, safety
         )
         self._resting = Resting(self._endpoints, self.engines, self.states, now_s)
-        self._alignment = Alignment(
+        self.alignment = Alignment(
             config, self.engines, self._drop_in, offsets or OffsetStore(), wake.ring
         )
         self._stalls = StallDetector(self.states, clocks.slept_s)
@@ -145,16 +146,6 @@ class Supervisor:
         return acting.match if acting else ""
 
     @property
-    def offset_s(self) -> float:
-        """Delay of the vibration, minus the delay of the sound in drop-in mode, in seconds."""
-        return self._alignment.offset.vibration_s - self._drop_in.delay_s
-
-    @property
-    def offset_reason(self) -> str:
-        """Where the offset comes from, in words of `offset`."""
-        return self._alignment.offset.reason
-
-    @property
     def latencies_s(self) -> tuple[float, float]:
         """Latencies of tap and output with the Python engine, in seconds."""
         (source, device), seen, tap_s = self._found, self._link.latest, 0.0
@@ -175,20 +166,12 @@ class Supervisor:
             warnings += recording.warnings
             if engine and engine.framework.bypassed():
                 warnings.append("an effect was bypassed, so a replay will differ from it")
-        warnings += self._alignment.warnings
+        warnings += self.alignment.warnings
         others = [self._link.warning, self.priority.warning, self.config_error]
         others += [self.engines.safety.warning, *self.engines.warnings]
         others.append(not_left_out(self.applications))
         others.append(self._limits.advice(self.config.settings))
         return [*warnings, *filter(None, others)]
-
-    def try_offset(self, offset_s: float | None) -> None:
-        """Play an offset in seconds on trial, see `Offset.try_out`. None ends the trial."""
-        self._alignment.offset.try_out(offset_s)
-
-    def store_offset(self, offset_s: float) -> None:
-        """Store an offset in seconds for the present pair of sinks; see `Offset.store`."""
-        self._alignment.offset.store(offset_s)
 
     def look(self) -> None:
         """Check tap, device and engine, and set the device's volume.
@@ -210,8 +193,7 @@ class Supervisor:
         """Connect to the server, locate tap and device, and open, check or close their streams."""
         self._notice_pauses(now_s)
         self.engines.record(now_s)
-        frames, limited = self.engines.counts
-        self._limits.update(limited, frames, now_s)
+        self._limits.update(*self.engines.counts, now_s)
         connection = None
         try:
             if self._endpoints.needs_server:
@@ -231,7 +213,7 @@ class Supervisor:
             if connection:
                 self._drop_in.maintain(connection, haptic, now_s)
             runs = self.states.state is DaemonState.RUNNING
-            self._alignment.maintain(connection, source, device, self.latencies_s, now_s, runs=runs)
+            self.alignment.maintain(connection, source, device, self.latencies_s, now_s, runs=runs)
         except LostError as error:
             self._lose_server(now_s, str(error))
             return
@@ -262,10 +244,10 @@ class Supervisor:
         if self.input.name and self.output.name:
             self.states.enter(DaemonState.RUNNING, now_s)
 
-    def follow(self, config: RunConfig, now_s: float) -> ConfigDiff:
-        """Apply another config; return the difference. After a UsageError, nothing has changed."""
+    def follow(self, config: RunConfig, now_s: float) -> set[Change]:
+        """Apply another config; return what differs. After a UsageError, nothing has changed."""
         self._apply(with_rule(config, self._acting.rule), now_s)
-        changes = ConfigDiff.between(self.user_config, config)
+        changes = changes_between(self.user_config, config)
         self.user_config = config
         return changes
 
@@ -277,36 +259,35 @@ class Supervisor:
 
     def _apply(self, config: RunConfig, now_s: float) -> None:
         """Apply another config with the rule that acts; see `follow`."""
-        changes, engine = ConfigDiff.between(self.config, config), self.engines.python
+        changes, engine = changes_between(self.config, config), self.engines.python
         self._endpoints.check_change(self.config, config)
         config.settings.transform_parameters  # noqa: B018 - reads the rig's file, once
-        if engine and changes.engine:  # raises if the new engine is impossible
+        if engine and Change.ENGINE in changes:  # raises if the new engine is impossible
             framework = Framework(engine.samplerate, engine.channels, config.settings)
             drive_of(config.settings, engine.samplerate, framework.haptic_channels)
         elif engine:
-            set_s, present_s = config.live.offset_s, engine.delay_line.offset_s
-            engine.follow(config.settings, present_s if set_s is None else max(0.0, set_s))
+            engine.follow(config.settings)
         self.config = config
         self.engines.follow(config, changes)
         self._endpoints.configure(config)
-        if changes.priority:
+        if Change.PRIORITY in changes:
             self.priority.set_wanted(config.live.realtime)
-        restarts = changes.engine
-        if changes.tap:
+        restarts = Change.ENGINE in changes
+        if Change.TAP in changes:
             restarts |= self._endpoints.retarget_input(config)
-        if changes.device:
+        if Change.DEVICE in changes:
             self._endpoints.retarget_output(config)
             if engine:
                 self.output.set_format(engine.samplerate, engine.drive.outputs)
         self._drop_in.follow(config)
-        self._alignment.follow(config)
-        if restarts or changes.blocks:
+        self.alignment.follow(config)
+        if restarts or Change.BLOCKS in changes:
             self._endpoints.close()
         if restarts:
             if config.recording:
                 config.recording.end("another tap needs a new mix, which a replay cannot repeat")
             self.engines.drop()
-        if changes.any:
+        if changes:
             self._resting.end(now_s)
 
     def close(self, now_s: float, *, keep: bool = True) -> None:
@@ -314,7 +295,7 @@ class Supervisor:
         self.states.enter(DaemonState.STOPPING, now_s)
         self.engines.close()
         self._endpoints.close()
-        self._alignment.close()
+        self.alignment.close()
         self._drop_in.close()
         self._link.close()
         self._endpoints.end(keep=keep)
@@ -347,7 +328,7 @@ class Supervisor:
             self.input.close()
             if self.output.needs_server:  # other outputs continue with silence
                 self.output.close()
-            self._alignment.close()
+            self.alignment.close()
             self._drop_in.close()
             self.engines.native.close()
             self._link.close()

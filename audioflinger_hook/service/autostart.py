@@ -20,7 +20,7 @@ from audioflinger_hook.service.desktop_entry import (
     remove_entry,
     write_entry,
 )
-from device.atomic_file import make_private_folder
+from device.atomic_file import make_private_folder, remove_file
 from device.errors import UsageError
 
 BOOTED = Path("/run/systemd/system")  # exists if systemd started this machine
@@ -62,7 +62,7 @@ def set_on(
     unit = install.installed_text(environ)  # refuses a unit of another program
     if on and unit is None:
         install.install(["--wait"], program, environ, install.systemd_version())
-    (_enable if on else _disable)(_link(environ))
+    (_enable if on else remove_file)(_link(environ))
     remove_entry(_entry(environ))  # so that the daemon does not start twice
     if has_systemd():
         _reload(environ)
@@ -86,14 +86,6 @@ def _enable(link: Path) -> None:
             f"cannot write the link {link}: {error.strerror}; make the folder writable, or type "
             f"`systemctl --user enable {install.NAME}`"
         ) from error
-
-
-def _disable(link: Path) -> None:
-    try:
-        with suppress(NotADirectoryError):
-            link.unlink(missing_ok=True)
-    except OSError as error:
-        raise UsageError(f"cannot remove {link}: {error.strerror}; remove it yourself") from error
 
 
 def _reload(environ: Mapping[str, str]) -> None:

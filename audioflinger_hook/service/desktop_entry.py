@@ -10,7 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from audioflinger_hook.service.install import home_folder
-from device.atomic_file import make_private_folder, write_bytes_atomically
+from device.atomic_file import remove_file, write_private
 from device.errors import UsageError
 
 NAME = "haptic-cushion"  # name of the icon and, with .desktop, of the menu's entry
@@ -40,34 +40,34 @@ def _word(word: str) -> str:
 
 def page_entry(program: Sequence[str] = ("cushion",)) -> str:
     """Return the entry of the application menu, which opens the live page."""
-    return f"""\
-{MARK}
-[Desktop Entry]
-Type=Application
-Name=Haptic Cushion
+    return _entry(
+        "Feel what this computer plays",
+        [*program, "monitor", "--open"],
+        """\
 GenericName=Sound to vibration
-Comment=Feel what this computer plays
-Exec={exec_line([*program, "monitor", "--open"])}
-Icon={NAME}
-Terminal=false
 Categories=AudioVideo;Audio;
 Keywords=haptics;vibration;shaker;bass;
-"""
+""",
+    )
 
 
 def daemon_entry(program: Sequence[str]) -> str:
     """Return the entry that starts the daemon at login on machines without systemd."""
+    command = [*program, "run", "--wait"]
+    return _entry("Turns sound into vibration", command, "NoDisplay=true\n")
+
+
+def _entry(comment: str, command: Sequence[str], more: str) -> str:
     return f"""\
 {MARK}
 [Desktop Entry]
 Type=Application
 Name=Haptic Cushion
-Comment=Turns sound into vibration
-Exec={exec_line([*program, "run", "--wait"])}
+Comment={comment}
+Exec={exec_line(command)}
 Icon={NAME}
 Terminal=false
-NoDisplay=true
-"""
+{more}"""
 
 
 def install_page_entry(program: Sequence[str], environ: Mapping[str, str] = os.environ) -> Path:
@@ -78,8 +78,7 @@ def install_page_entry(program: Sequence[str], environ: Mapping[str, str] = os.e
     """
     entry, icon = _installed(environ)
     write_entry(entry, page_entry(program))
-    make_private_folder(icon.parent)
-    write_bytes_atomically(icon, icon_bytes())
+    write_private(icon, icon_bytes())
     return entry
 
 
@@ -123,15 +122,10 @@ def is_ours(path: Path) -> bool:
 def write_entry(path: Path, text: str) -> None:
     """Write an entry. Errors: as for `install_page_entry`."""
     is_ours(path)
-    make_private_folder(path.parent)
-    write_bytes_atomically(path, text.encode())
+    write_private(path, text.encode())
 
 
 def remove_entry(path: Path) -> None:
     """Remove an entry, if there is one. UsageError: another program wrote it, or removal failed."""
     if is_ours(path):
-        try:
-            path.unlink()
-        except OSError as error:
-            problem = f"cannot remove {path}: {error.strerror}"
-            raise UsageError(f"{problem}; remove it yourself") from error
+        remove_file(path)

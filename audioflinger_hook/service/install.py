@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from audioflinger_hook.service.one_line import one_line
-from device.atomic_file import make_private_folder, write_bytes_atomically
+from device.atomic_file import make_private_folder, remove_file, write_private
 from device.errors import UsageError
 
 NAME = "cushion.service"
@@ -230,8 +230,7 @@ def restore(text: str | None, environ: Mapping[str, str] = os.environ) -> Instal
     path = unit_path(environ)
     changed = installed_text(environ) != text
     if changed:
-        make_private_folder(path.parent)
-        write_bytes_atomically(path, text.encode())
+        write_private(path, text.encode())
     return Installed(path, changed, RESTART)
 
 
@@ -245,10 +244,7 @@ def remove(environ: Mapping[str, str] = os.environ) -> Installed:
     path = unit_path(environ)
     if installed_text(environ) is None:
         return Installed(path, False, ())
-    try:
-        path.unlink()
-    except OSError as error:
-        raise UsageError(f"cannot remove {path}: {error.strerror}; remove it yourself") from error
+    remove_file(path)
     return Installed(path, True, FORGET)
 
 

@@ -294,14 +294,18 @@ class Status:
     offset_ms: float = figure(
         "offset of the vibration; below 0, drop-in mode delays the sound",
         0.0,
-        read="offset_s",
+        read="alignment.offset_s",
         scale=1e3,
         row="offset",
         panel="health",
         show="{:.1f} ms",
     )
     offset_reason: str = figure(
-        "where the offset comes from", "", row="offset", show=shown.offset_reason
+        "where the offset comes from",
+        "",
+        read="alignment.offset.reason",
+        row="offset",
+        show=shown.offset_reason,
     )
     delay_line: DelayLineFigures = figure(
         "delay line between two clocks: the Python engine's",

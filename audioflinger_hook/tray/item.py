@@ -30,44 +30,31 @@ NO_HOST = (
     "this desktop shows no tray icons (no StatusNotifier host answers); install or enable its "
     "tray extension, or use the page: `cushion monitor --open`; the vibration goes on"
 )
-Properties = Annotated[dict[str, Variant], DBusSignature("a{sv}")]
-Layout = Annotated[list[Any], DBusSignature("(ia{sv}av)")]
+
+
+def _fixed(name: str, kind: Any, value: object) -> Any:
+    """Return a property of a D-Bus interface that never changes. kind: D-Bus type of the value."""
+
+    def read(_: ServiceInterface) -> Any:
+        return value
+
+    read.__name__, read.__annotations__["return"] = name, kind
+    return dbus_property(PropertyAccess.READ)(read)
 
 
 class Item(ServiceInterface):
-    """The icon. title: the tooltip."""
+    """The icon."""
 
     def __init__(self) -> None:
         super().__init__("org.kde.StatusNotifierItem")
-        self.title = "Haptic Cushion"
 
-    @dbus_property(PropertyAccess.READ)
-    def Category(self) -> DBusStr:
-        return "Hardware"
-
-    @dbus_property(PropertyAccess.READ)
-    def Id(self) -> DBusStr:
-        return NAME
-
-    @dbus_property(PropertyAccess.READ)
-    def Title(self) -> DBusStr:
-        return self.title
-
-    @dbus_property(PropertyAccess.READ)
-    def Status(self) -> DBusStr:
-        return "Active"
-
-    @dbus_property(PropertyAccess.READ)
-    def IconName(self) -> DBusStr:
-        return NAME
-
-    @dbus_property(PropertyAccess.READ)
-    def ItemIsMenu(self) -> DBusBool:
-        return True
-
-    @dbus_property(PropertyAccess.READ)
-    def Menu(self) -> DBusObjectPath:
-        return MENU_PATH
+    Category = _fixed("Category", DBusStr, "Hardware")
+    Id = _fixed("Id", DBusStr, NAME)
+    Title = _fixed("Title", DBusStr, "Haptic Cushion")
+    Status = _fixed("Status", DBusStr, "Active")
+    IconName = _fixed("IconName", DBusStr, NAME)
+    ItemIsMenu = _fixed("ItemIsMenu", DBusBool, True)
+    Menu = _fixed("Menu", DBusObjectPath, MENU_PATH)
 
 
 class Menu(ServiceInterface):
@@ -84,13 +71,8 @@ class Menu(ServiceInterface):
             self._revision += 1
             self.LayoutUpdated()
 
-    @dbus_property(PropertyAccess.READ)
-    def Version(self) -> DBusUInt32:
-        return 3
-
-    @dbus_property(PropertyAccess.READ)
-    def Status(self) -> DBusStr:
-        return "normal"
+    Version = _fixed("Version", DBusUInt32, 3)
+    Status = _fixed("Status", DBusStr, "normal")
 
     @dbus_method()
     def GetLayout(

@@ -16,7 +16,7 @@ from audioflinger_hook.config.profiles import LIVE_DEFAULT, OFFLINE_DEFAULT
 from audioflinger_hook.config.schema import CHANGES, HEADERS, KEYS, REPLACED, json_schema, keys_of
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.recording import settings_from
-from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
+from audioflinger_hook.daemon.run_config import RunConfig, changes_between
 from audioflinger_hook.effect.haptic_parameters import HAPTIC_PARAMETERS
 from audioflinger_hook.sources import parse_tap
 from audioflinger_hook.transform import TransformParameters
@@ -247,7 +247,7 @@ KINDS = {
     "engine": ("engine",),
     "another engine": ("way",),
 }
-"""By the schema's words, what `ConfigDiff` calls a change."""
+"""By the schema's words, what `Change` calls a change."""
 
 
 def another(key: Any) -> Any:
@@ -307,8 +307,7 @@ def test_a_running_daemon_does_what_the_schema_says_of_a_change(key: Any) -> Non
         RunConfig(parse_tap(live.tap[0]), parse_device(str(live.device)), settings, live)
         for settings, live in ((settings, live), other)
     )
-    diff = ConfigDiff.between(old, new)
-    found = {field.name for field in fields(diff) if getattr(diff, field.name)}
+    found = {change.name.lower() for change in changes_between(old, new)}
     assert len(found) == 1
     assert found <= {*KINDS[key.change]}
 

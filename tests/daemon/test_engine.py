@@ -146,7 +146,7 @@ def test_actuators_follow_another_order_and_each_one_s_level_is_told():
     for start in range(0, RATE_HZ // 256 * 256, 256):
         if start == 94 * 256:
             silent = ActuatorSettings((0,), "left", gain_db=-60.0)
-            engine.follow(Settings(actuators=(silent, RIGHT)), 0.0)
+            engine.follow(Settings(actuators=(silent, RIGHT)))
         tap.push(np.column_stack([wave[start : start + 256]] * 2))
         engine.advance(start / RATE_HZ)
     before, after = np.concatenate(sent[60:94]), np.concatenate(sent[-60:])

@@ -20,7 +20,7 @@ from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns
 from audioflinger_hook.daemon.native.run import FAILURES_MAX, START_S, NativeRun
 from audioflinger_hook.daemon.native.taps import Tap
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
-from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
+from audioflinger_hook.daemon.run_config import RunConfig, changes_between
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
 from audioflinger_hook.service.state import StateKeeper
 from audioflinger_hook.sources import parse_tap
@@ -112,7 +112,7 @@ def test_the_engine_is_chosen_when_a_server_or_a_config_begins_only(tmp_path, mo
         return engines.reason
 
     def follow(config: RunConfig) -> None:
-        engines.follow(config, ConfigDiff.between(CONFIG, config))
+        engines.follow(config, changes_between(CONFIG, config))
 
     assert chosen(first) == ""
     engines.reason = "the native engine failed"

@@ -9,7 +9,7 @@ import pytest
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.engine import Clocks, Engine
-from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
+from audioflinger_hook.daemon.run_config import Change, RunConfig, changes_between, words_of
 from audioflinger_hook.sources import PushTap, TapAddress, TapClient
 from audioflinger_hook.transform import TransformParameters
 from device.address import DeviceAddress
@@ -57,31 +57,30 @@ TRANSFORM = "the transform"
     ],
 )
 def test_an_order_changes_what_is_another_in_it(order, changed, words):
-    found = ConfigDiff.between(ORDER, order)
-    assert found == ConfigDiff(**dict.fromkeys(changed.split(), True))
-    assert found.any == bool(changed)
-    assert words in (None, str(found))
+    found = changes_between(ORDER, order)
+    assert {change.name.lower() for change in found} == {*changed.split()}
+    assert words in (None, words_of(found))
 
 
 @pytest.mark.parametrize(
     ("before", "after", "changed"),
     [
-        ((LEFT,), (LEFT,), ConfigDiff()),
-        (BOTH, (SOFTER, RIGHT), ConfigDiff(actuators=True)),
-        (BOTH, SWAPPED, ConfigDiff(actuators=True)),
-        (BOTH, (LEFT, replace(RIGHT, source="left")), ConfigDiff(engine=True)),
-        ((LEFT,), BOTH, ConfigDiff(engine=True)),
-        ((), (LEFT,), ConfigDiff(engine=True)),
-        ((LEFT,), (), ConfigDiff(engine=True)),
-        ((LEFT,), (replace(LEFT, rig="consumer"),), ConfigDiff(engine=True)),
-        ((LEFT,), (replace(LEFT, damping="auto", gain_db=-1.0),), ConfigDiff(engine=True)),
-        ((LEFT,), (replace(LEFT, protection="on"),), ConfigDiff(engine=True)),
+        ((LEFT,), (LEFT,), set()),
+        (BOTH, (SOFTER, RIGHT), {Change.ACTUATORS}),
+        (BOTH, SWAPPED, {Change.ACTUATORS}),
+        (BOTH, (LEFT, replace(RIGHT, source="left")), {Change.ENGINE}),
+        ((LEFT,), BOTH, {Change.ENGINE}),
+        ((), (LEFT,), {Change.ENGINE}),
+        ((LEFT,), (), {Change.ENGINE}),
+        ((LEFT,), (replace(LEFT, rig="consumer"),), {Change.ENGINE}),
+        ((LEFT,), (replace(LEFT, damping="auto", gain_db=-1.0),), {Change.ENGINE}),
+        ((LEFT,), (replace(LEFT, protection="on"),), {Change.ENGINE}),
     ],
 )
 def test_actuators_follow_while_they_play_unless_others_are_to_be_there(before, after, changed):
-    found = ConfigDiff.between(wishing(actuators=before), wishing(actuators=after))
+    found = changes_between(wishing(actuators=before), wishing(actuators=after))
     assert found == changed
-    assert (str(found) == "the actuators") == changed.actuators
+    assert (words_of(found) == "the actuators") == (changed == {Change.ACTUATORS})
 
 
 class Live:
@@ -173,13 +172,13 @@ def test_parameters_that_the_mix_cannot_have_are_refused_and_nothing_changes():
     assert low.mixer.cycle(0.0).frames_written
 
 
-def test_what_an_engine_cannot_have_changes_neither_level_nor_offset():
+def test_an_offset_that_an_engine_cannot_have_is_refused_and_changes_nothing():
     live = Live()
+    live.engine.delay_line.offset_s = 0.5
     with pytest.raises(UsageError, match="offset_s"):
-        live.engine.follow(Settings(gain_db=-20.0), 5.0)
-    assert live.engine.framework.settings == Settings()
-    live.engine.follow(Settings(gain_db=-20.0), 0.5)
+        live.engine.delay_line.offset_s = 5.0
     assert live.engine.delay_line.offset_s == 0.5
+    live.engine.follow(Settings(gain_db=-20.0))
     assert live.engine.framework.settings.gain_db == -20.0
 
 

@@ -46,11 +46,13 @@ def bus_address(monkeypatch):
         daemon.terminate()
 
 
-async def asked(bus, to, member, signature, *body):
+async def asked(
+    bus, to, member, signature, *body, path=MENU_PATH, interface="com.canonical.dbusmenu"
+):
     message = Message(
         destination=to,
-        path=MENU_PATH,
-        interface="com.canonical.dbusmenu",
+        path=path,
+        interface=interface,
         member=member,
         signature=signature,
         body=list(body),
@@ -70,6 +72,26 @@ def test_the_tray_shows_the_menu_and_a_click_asks_the_daemon(bus_address):
         menu.show(entries(SETTINGS))
         bus = await show(menu, 5.0)
         (name,) = watcher.names
+        icon = "/StatusNotifierItem", "org.freedesktop.DBus.Properties"
+        (properties,) = await asked(
+            desktop,
+            name,
+            "GetAll",
+            "s",
+            "org.kde.StatusNotifierItem",
+            path=icon[0],
+            interface=icon[1],
+        )
+        assert {key: one.value for key, one in properties.items()} == {
+            "Category": "Hardware",
+            "Id": "haptic-cushion",
+            "Title": "Haptic Cushion",
+            "Status": "Active",
+            "IconName": "haptic-cushion",
+            "ItemIsMenu": True,
+            "Menu": MENU_PATH,
+        }
+        assert properties["Menu"].signature == "o"
         _, (_, _, children) = await asked(desktop, name, "GetLayout", "iias", 0, -1, [])
         labels = {child.value[1]["label"].value: child.value for child in children}
         assert labels["Vibration on"][1]["toggle-state"].value == 1

@@ -166,13 +166,10 @@ class Chain:
 
     def can_become(self, plan: ChainPlan) -> bool:
         """Whether this process can play the plan, because it needs the same ports and rate."""
-        return not self._refuses and plan.needs_same_node(self.plan)
+        return not self._refuses and plan.node == self.plan.node
 
-    def become(self, plan: ChainPlan, drives: Sequence[DriveDesign | None]) -> bool:
-        """Let the plugin cross-fade to another plan; return whether it can.
-
-        Only valid without a change under way. See `note_change`.
-        """
+    def become(self, plan: ChainPlan, drives: Sequence[DriveDesign | None]) -> None:
+        """Let the plugin cross-fade to another plan, if no change is under way."""
         try:
             self.wanted = self._prepared(plan, drives, self.design.number + 1)
             self.page.want(self.wanted.number)
@@ -183,7 +180,6 @@ class Chain:
                 os.close(file)
         except OSError:  # the plugin does not listen, or the disk is full
             self._refuse()
-        return not self._refuses
 
     def note_change(self) -> None:
         """Detect that the plugin plays the wanted design, or refuses it."""

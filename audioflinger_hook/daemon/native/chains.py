@@ -198,10 +198,12 @@ class Chains:
             return
         current.chain.note_change()
         if current.chain.plan != plan:
-            if current.chain.can_become(plan):
-                self._change(current.chain, plan, now_s)
-            else:
+            if not current.chain.can_become(plan):
                 self._begin(plan, now_s)
+            elif not current.chain.is_changing and self.backoff.wait_s(now_s) <= 0.0:
+                drives = self._designed(plan, now_s)
+                if drives is not None:
+                    current.chain.become(plan, drives)
             return
         self._designs.end()
         self.problem = ""
@@ -275,14 +277,6 @@ class Chains:
         realtime = self._config.live.realtime
         chain = Chain(plan, drives, self._folder, self._prepare, realtime=realtime)
         self.following = RunningChain(chain, now_s, moved_s=now_s)
-
-    def _change(self, chain: Chain, plan: ChainPlan, now_s: float) -> None:
-        """Let a chain cross-fade to another plan, after an earlier change has ended."""
-        if chain.is_changing or self.backoff.wait_s(now_s) > 0.0:
-            return
-        drives = self._designed(plan, now_s)
-        if drives is not None:
-            chain.become(plan, drives)
 
     def _designed(self, plan: ChainPlan, now_s: float) -> list[DriveDesign | None] | None:
         drives: list[DriveDesign | None] | None = None

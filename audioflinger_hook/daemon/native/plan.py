@@ -60,12 +60,10 @@ class ChainPlan:
         parameters = settings.transform_parameters
         return cls(samplerate, tap.channels, mixed, outputs, routed, parameters, drives)
 
-    def needs_same_node(self, other: ChainPlan) -> bool:
-        """Whether both plans need the same ports and the same sample rate."""
-        mine, others = (
-            (one.samplerate, one.tap_channels, len(one.actuators)) for one in (self, other)
-        )
-        return mine == others
+    @property
+    def node(self) -> tuple[int, int, int]:
+        """The sample rate and the numbers of input and output ports."""
+        return self.samplerate, self.tap_channels, len(self.actuators)
 
     @property
     def weights(self) -> FloatArray | None:
