@@ -110,7 +110,7 @@ def test_five_first_tasks_take_at_most_two_steps_each(room, film, size):
     for _ in range(200):
         if page.is_disabled("#undo"):
             break
-        page.click("#undo")
+        page.evaluate("document.getElementById('undo').click()")  # nothing once it is disabled
         page.wait_for_timeout(100)
     page.click("#save")
     wait_for(lambda: page.is_disabled("#save"), "the file as before")

@@ -35,7 +35,7 @@ export class Meters {
     this.rows = Array.from({ length: count }, (_, index) => {
       const name = this.names(index, count), peak = element("i", { class: "peak" }), rms = element("i"), hold = element("b");
       const track = element("div", { class: "track", role: "meter", "aria-label": `${this.what} ${name}`,
-        "aria-valuemin": LOW, "aria-valuemax": 0 }, peak, rms, hold);
+        "aria-valuemin": LOW, "aria-valuemax": 0, "aria-valuenow": LOW }, peak, rms, hold);
       return { track, peak, rms, hold, name, value: element("span", { class: "value" }), held: -150, since: 0 };
     });
     this.place.replaceChildren(...this.rows.map(({ name, track, value }) =>
