@@ -148,7 +148,7 @@ MUTATIONS = (
     Mutation(
         "without a valid record, the warmest coil is assumed",
         "audioflinger_hook/daemon/safety_keeper.py",
-        "                if trouble:\n                    state = bounds.warmest",
+        "                if trouble and not known:\n                    state = bounds.warmest",
         "                if False:\n                    state = bounds.warmest",
         KEPT,
     ),
