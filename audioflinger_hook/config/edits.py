@@ -3,8 +3,6 @@
 Edits are keyed by the name of a config key: `key` or `section.key`. The value None removes the key.
 """
 
-from __future__ import annotations
-
 import textwrap
 import tomllib
 from collections import deque

@@ -3,8 +3,6 @@
 One engine ends before the other begins.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence, Set
 from pathlib import Path

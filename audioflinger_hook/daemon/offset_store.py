@@ -1,7 +1,5 @@
 """Stores the delays that users have measured, one for each pair of sinks, for later runs."""
 
-from __future__ import annotations
-
 import json
 from contextlib import suppress
 from pathlib import Path

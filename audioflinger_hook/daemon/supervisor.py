@@ -1,7 +1,5 @@
 """The main thread of the daemon: opens streams, watches them, and closes them while idle."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from pathlib import Path
 
