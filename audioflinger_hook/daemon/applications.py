@@ -1,5 +1,7 @@
 """Lists the applications that have a stream, and changes the rules that select applications."""
 
+from __future__ import annotations
+
 from typing import Any
 
 from audioflinger_hook.config.applications import ApplicationRule
