@@ -1,7 +1,5 @@
 """Reads the buffers of a capture, unchanged."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Generator, Iterator
 from contextlib import closing, suppress

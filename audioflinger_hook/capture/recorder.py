@@ -1,7 +1,5 @@
 """Takes buffers from the audio thread; a second thread writes them to a capture."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import dataclass
 from queue import SimpleQueue
@@ -100,7 +98,7 @@ class CaptureRecorder:
         if self.error is not None:
             raise self.error
 
-    def __enter__(self) -> CaptureRecorder:
+    def __enter__(self) -> "CaptureRecorder":
         return self
 
     def __exit__(self, *_error: object) -> None:
@@ -123,7 +121,7 @@ class CaptureRecorder:
                 lane.unwritten_frames += handed.shape[0]
             lane.release(handed)
 
-    def _write(self, stream: str, lane: _Lane, handed: _Handed) -> None:
+    def _write(self, stream: str, lane: "_Lane", handed: _Handed) -> None:
         self._note(stream, handed.dropped_before)
         self._writer.write_buffer(
             stream,

@@ -1,7 +1,5 @@
 """Segments of a capture: float32 WAV files, readable while they grow and after a crash."""
 
-from __future__ import annotations
-
 import os
 import stat
 import struct

@@ -1,7 +1,5 @@
 """Writes a capture. All buffers written before a crash of the process remain."""
 
-from __future__ import annotations
-
 import errno
 import math
 import os
@@ -144,7 +142,7 @@ class CaptureWriter:
         finally:
             self._release()
 
-    def __enter__(self) -> CaptureWriter:
+    def __enter__(self) -> "CaptureWriter":
         return self
 
     def __exit__(self, *_error: object) -> None:

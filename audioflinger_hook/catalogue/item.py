@@ -1,7 +1,5 @@
 """One item of a catalogue, and the columns that describe it in a manifest."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Mapping

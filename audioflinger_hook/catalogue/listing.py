@@ -1,7 +1,5 @@
 """Search for sounds in local folders."""
 
-from __future__ import annotations
-
 import fnmatch
 import glob
 import os

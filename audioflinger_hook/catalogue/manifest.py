@@ -1,7 +1,5 @@
 """Reads manifests, which list the sounds of a catalogue: JSON lines, CSV, folders and globs."""
 
-from __future__ import annotations
-
 import csv
 import glob
 import gzip

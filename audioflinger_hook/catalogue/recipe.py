@@ -1,7 +1,5 @@
 """Options of a run, and the key that shows whether an existing result is still valid."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """A run sends batches of items to workers and collects the outcomes."""
 
-from __future__ import annotations
-
 import pickle
 from collections import deque
 from collections.abc import Iterable, Iterator

@@ -5,8 +5,6 @@ file beside the result, its record, describes it. Before a result is replaced, i
 deleted. The new record is written last, so a record never describes another result.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import secrets

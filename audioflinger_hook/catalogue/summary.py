@@ -1,7 +1,5 @@
 """The report of a run: counts; slowest, unusual and failed items; a page of pictures."""
 
-from __future__ import annotations
-
 import heapq
 import json
 from collections.abc import Mapping, Sequence
@@ -143,7 +141,7 @@ class Failures:
         self._file.flush()
         storage.put(name, lambda path: copyfile(self._file.name, path))
 
-    def __enter__(self) -> Failures:
+    def __enter__(self) -> "Failures":
         return self
 
     def __exit__(self, *_error: object) -> None:
@@ -188,7 +186,7 @@ class Page:
                 file.write(f"<p>{self._left_out} more items have no picture here.</p>\n".encode())
         return path
 
-    def __enter__(self) -> Page:
+    def __enter__(self) -> "Page":
         return self
 
     def __exit__(self, *_error: object) -> None:

@@ -1,7 +1,5 @@
 """Processes one item: renders its vibration, unless a valid result exists already."""
 
-from __future__ import annotations
-
 import errno
 import json
 import math

@@ -1,7 +1,5 @@
 """The argument parser of the commands, types of arguments, and options that commands share."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

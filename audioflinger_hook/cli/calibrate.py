@@ -1,7 +1,5 @@
 """`cushion calibrate`: identifies a rig's values with sweeps, and can write a rig file."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -1,7 +1,5 @@
 """`cushion calibrate` on real devices: opens the devices, and limits the level of the sweeps."""
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """`cushion catalogue`: writes the vibration of all sounds in a library, or shows the progress."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

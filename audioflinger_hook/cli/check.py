@@ -1,7 +1,5 @@
 """`cushion check`: prints all mistakes of a config file, or the JSON Schema of its keys."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json

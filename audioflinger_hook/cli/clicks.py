@@ -1,7 +1,5 @@
 """The clicks of `cushion sync`, played on one output."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager

@@ -1,7 +1,5 @@
 """`cushion demo`: computes the vibration of a built-in scene, writes files and prints a table."""
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Mapping
@@ -240,7 +238,7 @@ class Meter:
         self._probe = np.exp(-2j * np.pi * SPECTRUM_BANDS_HZ[:, None] * times_s)
         self._probe *= np.hanning(self._recent.size) * (4.0 / self._recent.size)
 
-    def __enter__(self) -> Meter:
+    def __enter__(self) -> "Meter":
         if self._on:
             self._live.start()
         return self

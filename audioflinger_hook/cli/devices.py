@@ -1,7 +1,5 @@
 """`cushion devices`: lists sinks, USB devices, sound cards, and applications that play sound."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Iterable

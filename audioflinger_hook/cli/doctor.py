@@ -1,7 +1,5 @@
 """`cushion doctor`: says what is wrong with this set-up and what to do; can repair some of it."""
 
-from __future__ import annotations
-
 import argparse
 import getpass
 import json

@@ -1,7 +1,5 @@
 """`cushion inspect`: lists the principal frequencies of each unit (analysis window) of a sound."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json

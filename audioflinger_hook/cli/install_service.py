@@ -1,7 +1,5 @@
 """`cushion install-service`: installs a systemd user unit that starts the daemon at login."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 

@@ -1,7 +1,5 @@
 """`cushion monitor`: serves the live page of a running daemon to browsers."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import fcntl

@@ -1,7 +1,5 @@
 """Lists outputs that can play vibration, the most suitable first. The functions do no I/O."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The commands of the command line, with their options and help texts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

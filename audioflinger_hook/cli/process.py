@@ -1,7 +1,5 @@
 """Process-wide settings of long-running commands: signals, open files and garbage collection."""
 
-from __future__ import annotations
-
 import gc
 import os
 import resource
@@ -40,7 +38,7 @@ class Signals:
         }
         self._before = {number: signal.signal(number, take) for number, take in handlers.items()}
 
-    def __enter__(self) -> Signals:
+    def __enter__(self) -> "Signals":
         return self
 
     def __exit__(self, *_error: object) -> None:

@@ -1,7 +1,5 @@
 """`cushion render`: writes the vibration of one or several sound files."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json

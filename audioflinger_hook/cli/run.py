@@ -1,7 +1,5 @@
 """`cushion run`: plays this computer's sound as vibration until stopped."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import os

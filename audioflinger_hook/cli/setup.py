@@ -3,8 +3,6 @@
 It asks all questions before it writes a file. If it fails, it restores the earlier files.
 """
 
-from __future__ import annotations
-
 import argparse
 import difflib
 import sys

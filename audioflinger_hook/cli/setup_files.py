@@ -5,8 +5,6 @@ reverts the last recorded setup. A setup that fails restores the files. A copy o
 is kept until undo. Undo keeps a copy of a config that the user edited after the setup.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import os

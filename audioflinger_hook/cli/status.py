@@ -1,7 +1,5 @@
 """`cushion status`: shows the status of a running daemon."""
 
-from __future__ import annotations
-
 import argparse
 import time
 

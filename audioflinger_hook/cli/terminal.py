@@ -1,7 +1,5 @@
 """Terminal output: warnings, progress, levels as text, and questions."""
 
-from __future__ import annotations
-
 import math
 import os
 import select

@@ -1,7 +1,5 @@
 """Plays the tone of `cushion test-tone` and of `cushion setup` on exactly one device."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import threading

@@ -1,7 +1,5 @@
 """`cushion tray`: a tray icon with on and off, strength and profile."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """`cushion usb`: decodes USB audio devices or dumps of them, and sets a device's controls."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

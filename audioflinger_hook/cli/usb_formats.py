@@ -4,8 +4,6 @@ Descriptors of USB Audio 2 and 3 contain no sample rates. Descriptors of USB Aud
 channel count. The device's driver lists these values.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """Narrows the allowed values of a key to those that fit the present values of the other keys."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import fields
 from typing import Any

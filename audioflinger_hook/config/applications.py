@@ -1,7 +1,5 @@
 """Rules of the config that choose profile and gain by the application that plays."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any

@@ -4,8 +4,6 @@ Edits are keyed by the name of a config key: `key` or `section.key`. The value N
 `RULE` and a name are the key of an [[application]] rule, whose value has all keys except `match`.
 """
 
-from __future__ import annotations
-
 import textwrap
 import tomllib
 from collections import deque

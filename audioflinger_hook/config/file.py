@@ -1,7 +1,5 @@
 """Reads the config file (TOML), and finds all mistakes in it at once, with line numbers."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import astuple, dataclass, field
 from pathlib import Path

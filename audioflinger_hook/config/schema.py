@@ -1,7 +1,5 @@
 """Describes all keys of the config file, for `check`, the command line, editors and docs."""
 
-from __future__ import annotations
-
 from dataclasses import MISSING, dataclass, replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """User settings: the transform, the rig, where the sound comes from, where the vibration goes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -125,7 +123,7 @@ class Settings(Described):
         allowed = "mono: the source of every [[actuator]] says what it plays"
         return {"channels": Refusal("cannot be used with actuators", allowed)}
 
-    def choosing(self, **given: Any) -> Settings:
+    def choosing(self, **given: Any) -> "Settings":
         """Return a copy with `given` values. A new profile changes no parameters in `said`."""
         if given.get("profile") in PROFILES and "parameters" not in given:
             kept = {name: getattr(self.parameters, name) for name in self.said}

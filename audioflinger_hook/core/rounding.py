@@ -5,8 +5,6 @@ these bits. `round_filter` rounds poles and zeros instead of coefficients. In a 
 order, small errors of coefficients would move the poles too far.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import fields, replace

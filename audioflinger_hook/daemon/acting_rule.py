@@ -1,7 +1,5 @@
 """The [[application]] rule that acts: that of the application that began to play last."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from audioflinger_hook.config.applications import ApplicationRule

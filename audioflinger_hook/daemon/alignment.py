@@ -1,7 +1,5 @@
 """Keeps vibration and sound together: finds the offset, and applies it to engines and drop-in."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from audioflinger_hook.daemon.declared import DeclaredDelays

@@ -1,7 +1,5 @@
 """Reads the delays that the sinks of sound and vibration declare on PipeWire and PulseAudio."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Creates the input and the output for a `RunConfig`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from audioflinger_hook.daemon.capture_queue import CaptureQueue, Feed

@@ -1,7 +1,5 @@
 """The Python engine: sound passes through mixer, effect and drive into a delay line."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 One engine ends before the other begins.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence, Set
 from pathlib import Path
@@ -21,6 +19,7 @@ from audioflinger_hook.daemon.outputs.base import StreamOutput
 from audioflinger_hook.daemon.run_config import SLIGHT, Change, RunConfig
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
 from audioflinger_hook.drive.drive import DrivenRig
+from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.service.state import StateKeeper
 from device.server import PulseConnection, ServerSnapshot
 from device.stream.callback_thread import priority_advice
@@ -132,7 +131,16 @@ class Engines:
         self.safety.carry_over(self.rigs, rigs)
 
     def follow(self, config: RunConfig, changes: Set[Change]) -> None:
-        """Apply another config. changes: its differences from the current config."""
+        """Apply another config. changes: its differences from the current config.
+
+        After a UsageError, nothing has changed.
+        """
+        settings, engine = config.settings, self.python
+        if engine and Change.ENGINE in changes:  # raises if the new engine is impossible
+            framework = Framework(engine.samplerate, engine.channels, settings)
+            drive_of(settings, engine.samplerate, framework.haptic_channels)
+        elif engine:
+            engine.follow(settings)
         self._config = config
         if changes - SLIGHT:
             self._chosen_for = ()

@@ -1,7 +1,5 @@
 """The parts of the daemon's own latency, without the offset and without delays of actuators."""
 
-from __future__ import annotations
-
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.native.chain import Chain
 from audioflinger_hook.daemon.native.engine import NativeEngine

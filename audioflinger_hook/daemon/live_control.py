@@ -15,8 +15,6 @@ The answer is `{"done": true}` or `{"error": message}`. If a value is refused,
 the answer also has the key of this value as `"key"`.
 """
 
-from __future__ import annotations
-
 import subprocess
 import threading
 from collections import deque

@@ -4,8 +4,6 @@ A trial has priority, then a number in the config, then a stored measurement of 
 last choice are the delays that the sinks declare. In drop-in mode, the sound can be delayed too.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from audioflinger_hook.daemon.offset_store import OffsetStore, SinkPair

@@ -1,11 +1,9 @@
 """Stores the delays that users have measured, one for each pair of sinks, for later runs."""
 
-from __future__ import annotations
-
 import json
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from device.atomic_file import write_private
 from device.errors import UsageError
@@ -59,9 +57,17 @@ class OffsetStore:
         write_private(self._folder / FILE, f"{text}\n".encode())
 
     def _read(self, path: Path) -> None:
+        delays_s = {}
         try:
             known = json.loads(path.read_text("utf-8"))
-            self._delays_s = _checked(known)
+            if known["version"] != VERSION:
+                raise ValueError(known["version"])
+            for one in known["offsets"]:
+                pair, delay_s = SinkPair(one["heard"], one["felt"]), one["delay_s"]
+                if not all(isinstance(name, str) for name in pair) or not abs(delay_s) <= LONGEST_S:
+                    raise ValueError(one)
+                delays_s[pair] = float(delay_s)
+            self._delays_s = delays_s
         except FileNotFoundError:
             return
         except OSError as error:
@@ -73,16 +79,3 @@ class OffsetStore:
             )
             with suppress(OSError):
                 path.replace(path.with_name(DAMAGED))
-
-
-def _checked(known: Any) -> dict[SinkPair, float]:
-    """Return the delays in a file's content. ValueError, TypeError, KeyError: it is invalid."""
-    if known["version"] != VERSION:
-        raise ValueError(known["version"])
-    delays_s = {}
-    for one in known["offsets"]:
-        pair, delay_s = SinkPair(one["heard"], one["felt"]), one["delay_s"]
-        if not all(isinstance(name, str) for name in pair) or not abs(delay_s) <= LONGEST_S:
-            raise ValueError(one)
-        delays_s[pair] = float(delay_s)
-    return delays_s

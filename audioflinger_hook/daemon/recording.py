@@ -1,7 +1,5 @@
 """Recordings of `cushion run --record`: buffers of tap, effect and device in one capture."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from contextlib import suppress
@@ -170,7 +168,7 @@ class RunRecording:
         if self._recorder:
             self._recorder.close()
 
-    def __enter__(self) -> RunRecording:
+    def __enter__(self) -> "RunRecording":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:

@@ -1,7 +1,5 @@
 """Closes the streams of tap and device while nothing plays, and opens them at the next sound."""
 
-from __future__ import annotations
-
 from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engines import Engines
 from audioflinger_hook.daemon.timing import IdlePolicy

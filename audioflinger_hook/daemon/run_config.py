@@ -1,7 +1,5 @@
 """The configuration of one run of the daemon, and the difference between two configurations."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Set
 from dataclasses import dataclass, replace
 from enum import Enum

@@ -5,8 +5,6 @@ needs the temperatures and the dose. A killed process does not record the time a
 For this time, the next process assumes the worst case that protection allows.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Sequence

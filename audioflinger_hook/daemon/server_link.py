@@ -1,7 +1,5 @@
 """The connection to the sound server, and the virtual sinks that the daemon creates there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from audioflinger_hook.daemon.run_config import RunConfig

@@ -1,7 +1,5 @@
 """Collects the status of a running daemon; `service/status.py` defines the fields."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The main thread of the daemon: opens streams, watches them, and closes them while idle."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from pathlib import Path
 
@@ -21,7 +19,6 @@ from audioflinger_hook.daemon.run_config import Change, RunConfig, changes_betwe
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
 from audioflinger_hook.daemon.server_link import DropInControl, ServerLink
 from audioflinger_hook.daemon.timing import StallDetector, Wake
-from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from audioflinger_hook.service.status import Application
 from device.errors import CushionError, LostError, NotFoundError, UsageError
@@ -46,9 +43,8 @@ class Supervisor:
     folder: private, for the native engine and the live page's shared memory; None disables both.
     safety: stores the coil temperatures and vibration doses for the next process.
     offsets: stores the delays that users have measured; None forgets them at the end.
-    config, user_config: with and without the [[application]] rule that acts. alignment: finds the
-    offset.
-    config_error: why the latest config was not applied, or "".
+    config, user_config: with and without the [[application]] rule that acts.
+    alignment: finds the offset. config_error: why the latest config was not applied, or "".
     UsageError, NotFoundError: a file to play or to write cannot be used.
     """
 
@@ -259,16 +255,11 @@ class Supervisor:
 
     def _apply(self, config: RunConfig, now_s: float) -> None:
         """Apply another config with the rule that acts; see `follow`."""
-        changes, engine = changes_between(self.config, config), self.engines.python
+        changes = changes_between(self.config, config)
         self._endpoints.check_change(self.config, config)
         config.settings.transform_parameters  # noqa: B018 - reads the rig's file, once
-        if engine and Change.ENGINE in changes:  # raises if the new engine is impossible
-            framework = Framework(engine.samplerate, engine.channels, config.settings)
-            drive_of(config.settings, engine.samplerate, framework.haptic_channels)
-        elif engine:
-            engine.follow(config.settings)
-        self.config = config
         self.engines.follow(config, changes)
+        self.config = config
         self._endpoints.configure(config)
         if Change.PRIORITY in changes:
             self.priority.set_wanted(config.live.realtime)
@@ -277,7 +268,7 @@ class Supervisor:
             restarts |= self._endpoints.retarget_input(config)
         if Change.DEVICE in changes:
             self._endpoints.retarget_output(config)
-            if engine:
+            if engine := self.engines.python:
                 self.output.set_format(engine.samplerate, engine.drive.outputs)
         self._drop_in.follow(config)
         self.alignment.follow(config)

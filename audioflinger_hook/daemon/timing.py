@@ -1,7 +1,5 @@
 """Timing of the main thread: retries, stalls, suspends, idle state and wake-up."""
 
-from __future__ import annotations
-
 import os
 import select
 from collections.abc import Callable
@@ -140,7 +138,7 @@ class Wake:
         if bell >= 0:
             os.close(bell)
 
-    def __enter__(self) -> Wake:
+    def __enter__(self) -> "Wake":
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -1,7 +1,5 @@
 """Processing for the actuators of one device: vibration in, actuator signals out."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Approximates curves with straight lines, and a vibration with an envelope and transients."""
 
-from __future__ import annotations
-
 import heapq
 from dataclasses import dataclass, replace
 from itertools import pairwise

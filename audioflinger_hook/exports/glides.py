@@ -4,8 +4,6 @@ A partial is a sequence of glides. During a glide, frequency and amplitude chang
 numbers describes each glide, and a slot number says to which partial it belongs.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

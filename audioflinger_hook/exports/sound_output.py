@@ -1,7 +1,5 @@
 """Waveform files written by libsndfile, rate conversion, measurement of energy above 250 Hz."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Offline rendering of sound to a file of vibration, with the same steps as for live sound."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Installation of the plugin, its designs, an LV2 bundle and a PipeWire configuration."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from contextlib import suppress
@@ -39,7 +37,7 @@ class Places:
     chain: Path
 
     @classmethod
-    def of(cls, environ: Mapping[str, str]) -> Places:
+    def of(cls, environ: Mapping[str, str]) -> "Places":
         """Return the paths of a user. UsageError: HOME is not an absolute path."""
         home = environ.get("HOME", "")
         if not home.startswith("/"):

@@ -5,8 +5,6 @@ link to the unit, as `systemctl --user enable` makes it. Without systemd, the de
 daemon, by an entry in the folder `autostart` of the config home.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Desktop entries, in the format of the freedesktop.org Desktop Entry Specification 1.5."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The text and the installation of the systemd user unit, and the text of the udev rule."""
 
-from __future__ import annotations
-
 import os
 import re
 import stat

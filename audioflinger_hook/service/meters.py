@@ -1,7 +1,5 @@
 """Measurements in the audio threads: levels, and computing times of buffers."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The daemon's private folder, and the lock that limits each user to one daemon."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl
@@ -88,7 +86,7 @@ class RuntimeFolder:
             os.close(self.fd)
             self.fd = -1
 
-    def __enter__(self) -> RuntimeFolder:
+    def __enter__(self) -> "RuntimeFolder":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -140,7 +138,7 @@ class DaemonLock:
             os.close(self._fd)
             self._fd = -1
 
-    def __enter__(self) -> DaemonLock:
+    def __enter__(self) -> "DaemonLock":
         return self
 
     def __exit__(self, *_: object) -> None:

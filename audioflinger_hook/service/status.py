@@ -1,7 +1,5 @@
 """The figures in the status of a daemon; see `Figure`. In JSON, a group of figures is an object."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -98,7 +96,7 @@ class LatencyBudget:
     )
 
     @classmethod
-    def of(cls, **parts_ms: float) -> LatencyBudget:
+    def of(cls, **parts_ms: float) -> "LatencyBudget":
         """Return the given parts, in ms, with their sum."""
         return cls(**parts_ms, total_ms=sum(parts_ms.values()))
 
@@ -229,7 +227,7 @@ class ActuatorFigures:
     )
 
 
-def status_rows(status: Status) -> list[Row]:
+def status_rows(status: "Status") -> list[Row]:
     """Return the rows of a status."""
     if status.actuators:  # each actuator has rows for protection and exposure
         status = replace(status, protection=None, exposure=None)

@@ -1,7 +1,5 @@
 """Client of a running daemon: requests its status, and controls it."""
 
-from __future__ import annotations
-
 import json
 import os
 import socket

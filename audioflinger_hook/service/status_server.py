@@ -7,8 +7,6 @@ A request is one line of JSON:
 - `{"ask": "control", "protocol": 1, ...}` is answered by one line; see `daemon/live_control.py`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -143,7 +141,7 @@ class StatusServer:
                 os.unlink(NAME, dir_fd=self._folder.fd)
         self._listener.close()
 
-    def __enter__(self) -> StatusServer:
+    def __enter__(self) -> "StatusServer":
         for thread in self._threads:
             thread.start()
         return self

@@ -1,7 +1,5 @@
 """Taps of stored sound: a file, frames in memory, a capture."""
 
-from __future__ import annotations
-
 import os
 import re
 import stat

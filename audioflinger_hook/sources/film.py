@@ -1,7 +1,5 @@
 """A tap of a film's sound track in any format of FFmpeg. It needs the optional package PyAV."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A client that plays a scene with one track per sound."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -61,7 +59,7 @@ class _Voice:
     resume: int
 
     @classmethod
-    def on(cls, mixer: Mixer, sound: SceneTrack) -> _Voice:
+    def on(cls, mixer: Mixer, sound: SceneTrack) -> "_Voice":
         rate, channels = sound.samplerate, sound.frames.shape[1]
         period = period_frames(rate, mixer.samplerate, mixer.frames)
         start = round(sound.start_s * mixer.samplerate)

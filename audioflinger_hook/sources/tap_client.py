@@ -1,7 +1,5 @@
 """A client that plays a tap on one track, and a tap that receives buffers by `push`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from audioflinger_hook.mixer import Mixer, PcmFormat, Track

@@ -1,7 +1,1 @@
-"""The tray icon: switches the running daemon, and shows its state.
-
-| module | contents |
-| --- | --- |
-| `menu` | the entries of the menu, and the request of each |
-| `item` | icon and menu on D-Bus: StatusNotifierItem and com.canonical.dbusmenu |
-"""
+"""The tray icon: `menu` has the entries of its menu, and `item` shows both on D-Bus."""

@@ -45,9 +45,6 @@ def _fixed(name: str, kind: Any, value: object) -> Any:
 class Item(ServiceInterface):
     """The icon."""
 
-    def __init__(self) -> None:
-        super().__init__("org.kde.StatusNotifierItem")
-
     Category = _fixed("Category", DBusStr, "Hardware")
     Id = _fixed("Id", DBusStr, NAME)
     Title = _fixed("Title", DBusStr, "Haptic Cushion")
@@ -129,7 +126,7 @@ async def show(menu: Menu, timeout_s: float) -> MessageBus:
         bus = await MessageBus(bus_type=BusType.SESSION).connect()
     except Exception as error:  # the library raises several kinds
         raise NotFoundError(f"no D-Bus session bus answers; {NO_HOST}") from error
-    bus.export(ITEM_PATH, Item())
+    bus.export(ITEM_PATH, Item("org.kde.StatusNotifierItem"))
     bus.export(MENU_PATH, menu)
     name = f"org.kde.StatusNotifierItem-{os.getpid()}-1"
     await bus.request_name(name)

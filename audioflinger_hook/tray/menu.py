@@ -1,7 +1,5 @@
 """The entries of the tray's menu. Pure functions of what the daemon reports."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

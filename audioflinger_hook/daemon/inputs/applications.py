@@ -1,7 +1,5 @@
 """An input that captures the stream of each application before the server mixes the streams."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import dataclass
 from functools import partial

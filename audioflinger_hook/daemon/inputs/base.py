@@ -1,7 +1,5 @@
 """Interface of all inputs, and the base class of inputs and outputs."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Protocol

@@ -1,7 +1,5 @@
 """An input that captures the monitor of a named sink or of the default sink."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 

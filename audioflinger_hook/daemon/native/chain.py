@@ -1,7 +1,5 @@
 """Runs the plugin in PipeWire's graph, in a separate process."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

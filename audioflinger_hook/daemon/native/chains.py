@@ -1,7 +1,5 @@
 """Starts, replaces and ends chains; a chain is a process with the plugin in PipeWire's graph."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The native engine: keeps the plugin running, and links it between tap and device."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Layout of shared memory, as in plugin/native/parts.h. No value is written by two processes."""
 
-from __future__ import annotations
-
 import ctypes
 import mmap
 import struct

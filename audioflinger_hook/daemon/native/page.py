@@ -1,7 +1,5 @@
 """Memory that the daemon shares with the plugin and the live page."""
 
-from __future__ import annotations
-
 import ctypes
 import mmap
 import os

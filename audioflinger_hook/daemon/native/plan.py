@@ -1,7 +1,5 @@
 """The configuration of a chain, and the designs of damping and protection for its rigs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -38,7 +36,7 @@ class ChainPlan:
     drives: tuple[tuple[str, str, str, str], ...]
 
     @classmethod
-    def of(cls, settings: Settings, tap: Tap, samplerate: int) -> ChainPlan:
+    def of(cls, settings: Settings, tap: Tap, samplerate: int) -> "ChainPlan":
         """Return the plan for settings, a tap and the graph's sample rate in Hz."""
         sources = settings.sources
         outputs = len(sources) or (tap.channels if settings.channels == "each" else 1)

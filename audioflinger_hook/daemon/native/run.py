@@ -1,7 +1,5 @@
 """Restarts a lost native engine; gives up after FAILURES_MAX losses in a row or any other error."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path

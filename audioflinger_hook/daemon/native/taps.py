@@ -5,8 +5,6 @@ leads to the chain. Alternatively, a chain taps the sink's monitor, which contai
 applications. The monitor is one cycle late if the sink drives the graph.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Plays vibration on a sound card, without a sound server."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial

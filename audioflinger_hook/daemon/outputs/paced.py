@@ -1,7 +1,5 @@
 """Writes vibration to a file or to the simulated rig, in real time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The design of the live form: its constants and tables for given parameters and samplerate."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any, get_type_hints
@@ -72,7 +70,7 @@ class LiveDesign:
     @classmethod
     def of(
         cls, parameters: TransformParameters, samplerate: int, *, find_onsets: bool = True
-    ) -> LiveDesign:
+    ) -> "LiveDesign":
         """Return the design for parameters and a samplerate in Hz. The last 8 designs are cached.
 
         find_onsets: whether onsets are detected; if not, both latencies are equal.
@@ -99,7 +97,7 @@ class LiveDesign:
         return {**{name: getattr(self, name) for name in TOP}, **self.settings()}
 
     @classmethod
-    def from_bytes(cls, data: bytes) -> LiveDesign:
+    def from_bytes(cls, data: bytes) -> "LiveDesign":
         """Return the design from the bytes of `to_bytes`. UsageError: the bytes are invalid."""
         values = blob.unpack(bytes(data))
         sections = {name: _section(kind, values) for name, kind in SECTIONS.items()}
