@@ -286,8 +286,7 @@ def _output(device: DeviceAddress, snapshot: ServerSnapshot | None) -> tuple[Str
     sink = device.sink(snapshot)
     others = [
         "cushion run" if is_cushion_stream(stream) else stream.application or "another program"
-        for stream in snapshot.sink_inputs
-        if stream.device_name == sink.name and not stream.corked
+        for stream in snapshot.playing_to(sink.name)
     ]
     if others:
         raise UsageError(f"{', '.join(others)} plays to {sink.name!r}; end it first")

@@ -112,11 +112,6 @@ class Facts:
             return parse_device(address or "").sink(self.server) if self.server else None
         return None
 
-    def plays(self, sink: Sink) -> bool:
-        """Whether a stream plays to a sink now."""
-        streams = self.server.sink_inputs if self.server else ()
-        return any(one.device_index == sink.index and not one.corked for one in streams)
-
     def clock(self, setting: str) -> list[int]:
         """Return the numbers, except 0, in a setting of PipeWire's clock, such as "force-rate"."""
         text = str(self.graph.settings.get(f"clock.{setting}")) if self.graph else ""

@@ -95,7 +95,7 @@ def measure(facts: Facts) -> Delay:
         return Delay(reason="not measured: no daemon plays; start `cushion run`")
     if heard is None or felt is None or heard == felt:
         return Delay(reason="not measured: the outputs of sound and vibration are not two sinks")
-    if facts.plays(heard):
+    if facts.server and facts.server.playing_to(heard.name):
         return Delay(reason="not measured: a program plays now; pause it")
     recordings = Recording(), Recording()
     try:

@@ -11,7 +11,6 @@ import platform
 import re
 import resource
 import shutil
-import socket
 import subprocess
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -33,7 +32,7 @@ from audioflinger_hook.service.install import state_folder
 from audioflinger_hook.service.runtime_folder import VARIABLE, RuntimeFolder, folder_path, read_lock
 from audioflinger_hook.service.status_client import ask_status
 from device.address import parse_device
-from device.errors import CushionError, NotFoundError
+from device.errors import CushionError, NoAnswerError, NotFoundError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.graph import Graph
 from device.server.graph_watch import READER
@@ -55,7 +54,7 @@ def read_facts(environ: Mapping[str, str], clock: Callable[[], float]) -> Facts:
 
     Only the main thread may call it. clock: returns seconds.
     """
-    return _with_daemon(_with_config(_with_server(_machine(environ), environ)), clock, environ)
+    return _with_daemon(_with_config(_with_server(_machine(environ))), clock, environ)
 
 
 def _machine(environ: Mapping[str, str]) -> Facts:
@@ -85,14 +84,14 @@ def _machine(environ: Mapping[str, str]) -> Facts:
     )
 
 
-def _with_server(facts: Facts, environ: Mapping[str, str]) -> Facts:
+def _with_server(facts: Facts) -> Facts:
     graph = _graph()
     try:
         with closing(PulseConnection()) as connection:
             server, processes = connection.latest, connection.processes()
             latencies_s = connection.latencies_s()
     except (CushionError, OSError) as error:
-        hangs = graph is None and _hangs(environ)
+        hangs = graph is None and isinstance(error, NoAnswerError)
         return replace(facts, server_error=str(error), hangs=hangs, graph=graph)
     sinks = tuple(one for one in server.sinks if not one.name.startswith((NAME, FALLBACK_SINK)))
     graph, players = graph if server.kind == "PipeWire" else None, _players(server, processes)
@@ -207,19 +206,6 @@ def _graph() -> Graph | None:
         for text in _printed(READER, "--no-colors").split("\n]\n")[:-1]:
             graph.apply(json.loads(f"{text}\n]"))
     return graph if graph.version else None
-
-
-def _hangs(environ: Mapping[str, str]) -> bool:
-    """Whether the socket of PulseAudio or pipewire-pulse accepts connections."""
-    runtime = environ.get("XDG_RUNTIME_DIR") or f"/run/user/{os.getuid()}"
-    folder = environ.get("PULSE_RUNTIME_PATH") or f"{runtime}/pulse"
-    address = environ.get("PULSE_SERVER", "")
-    path = address.rpartition("unix:")[2] if "/" in address else f"{folder}/native"
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe, suppress(OSError, ValueError):
-        probe.settimeout(ANSWER_S)
-        probe.connect(path)
-        return True
-    return False
 
 
 def _players(server: ServerSnapshot, connected: set[int]) -> tuple[str, ...]:

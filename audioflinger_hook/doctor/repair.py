@@ -39,7 +39,7 @@ def unmute(facts: Facts, environ: Mapping[str, str]) -> str:
         if (before := now.felt) is None:
             return "The output of the vibration is gone."
         muted = f"{before.name!r} stays muted, because"
-        if now.plays(before):
+        if connection.latest.playing_to(before.name):
             return f"{muted} a stream plays to it now; pause it first."
         if before.volume_db > 0.0:
             return f"{muted} its volume is above 100 %; lower it first."

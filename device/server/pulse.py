@@ -175,7 +175,8 @@ class PulseConnection(ConnectionThread):
                 self._pulse.set_poll_func(self._poll, lambda *_: None)
                 self._pulse.connect()
             except Exception:
-                raise no_server() from None
+                is_late = time.monotonic() >= (self._deadline_s or math.inf)
+                raise (self._no_answer() if is_late else no_server()) from None
             self._pulse.event_mask_set(*FACILITIES)
             self._pulse.event_callback_set(self._on_event)
 

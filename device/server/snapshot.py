@@ -118,6 +118,10 @@ class ServerSnapshot:
         """Return the sink with exactly this name, or None."""
         return next((sink for sink in self.sinks if sink.name == name), None)
 
+    def playing_to(self, name: str | None) -> list[Stream]:
+        """Return the streams that play to the sink with this name now."""
+        return [one for one in self.sink_inputs if one.device_name == name and not one.corked]
+
 
 def patch_samplerates(pulsectl: Any) -> None:
     """Make pulsectl copy sample rates: its own field for them points into freed memory."""

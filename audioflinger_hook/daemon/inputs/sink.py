@@ -115,12 +115,8 @@ class SinkInput(Input):
         """Return the indexes of other programs' streams that play to the sink."""
         if snapshot is None or self._found is None:
             return frozenset()
-        sink = self._found.monitor_of
-        return frozenset(
-            stream.index
-            for stream in snapshot.sink_inputs
-            if stream.device_name == sink and not stream.corked and not is_cushion_stream(stream)
-        )
+        playing = snapshot.playing_to(self._found.monitor_of)
+        return frozenset(stream.index for stream in playing if not is_cushion_stream(stream))
 
     def volume_db(self, snapshot: ServerSnapshot) -> float:
         """Return the volume in dB that stream, sink and monitor apply to the captured sound."""
