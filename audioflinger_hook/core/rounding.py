@@ -44,9 +44,9 @@ def round_section(section: Any, exact: Sequence[str] = ()) -> Any:
     changes: dict[str, Any] = {}
     for item in fields(section):
         value = getattr(section, item.name)
-        if item.type == "float" and item.name not in exact:
+        if item.type is float and item.name not in exact:
             changes[item.name] = round_number(float(value))
-        elif item.type == "FloatArray" and item.name not in exact:
+        elif item.type == FloatArray and item.name not in exact:
             changes[item.name] = round_table(value)
     return replace(section, **changes)
 

@@ -22,7 +22,7 @@ from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.principal import Spectrum
 from device.errors import UsageError
-from device.units import Records
+from device.units import FloatArray, Records
 
 __all__ = ["LiveDesign"]
 
@@ -85,7 +85,7 @@ class LiveDesign:
             for item in fields(section):
                 value = getattr(section, item.name)
                 # The value of a float parameter may be an integer.
-                found[item.name] = float(value) if item.type == "float" else value
+                found[item.name] = float(value) if item.type is float else value
         return found
 
     def to_bytes(self) -> bytes:
@@ -126,8 +126,8 @@ SECTIONS: dict[str, Any] = {
 
 
 def _section(kind: Any, values: Records) -> Any:
-    types: dict[str, Any] = {"int": int, "float": float, "FloatArray": np.ndarray}
-    return kind(**{i.name: _taken(values, i.name, types[str(i.type)]) for i in fields(kind)})
+    types: dict[Any, Any] = {int: int, float: float, FloatArray: np.ndarray}
+    return kind(**{i.name: _taken(values, i.name, types[i.type]) for i in fields(kind)})
 
 
 def _taken(values: Records, name: str, kind: type) -> Any:
