@@ -11,6 +11,7 @@ from contextlib import nullcontext, suppress
 from datetime import datetime
 from pathlib import Path
 
+from audioflinger_hook.cli.arguments import given_values
 from audioflinger_hook.cli.process import Signals, allow_open_files, freeze_loaded_objects
 from audioflinger_hook.cli.replay import capture_files
 from audioflinger_hook.cli.run_reporter import RunReporter
@@ -36,6 +37,10 @@ from device.address import DeviceAddress, parse_device
 from device.errors import LostError, NotFoundError, UsageError
 from device.server import PulseConnection
 from device.stream import filter_stderr
+
+# Options that override keys of the config.
+OF_SETTINGS = ("profile", "rig", "damping", "protection", "model", "tolerance")
+OF_LIVE = ("tap", "device", "offset_ms", "drop_in", "engine", "device_volume_db")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -132,20 +137,15 @@ def _run_config(options: argparse.Namespace, edits: Edits | None = None) -> RunC
         found = config.load(path, options.default_profile, edits or None)
     else:
         found = config.Config(Settings(profile=options.default_profile))
-    settings, live = found.settings, found.live
-    names = ("profile", "rig", "damping", "protection", "model", "tolerance")
-    chosen = {name: getattr(options, name) for name in names if name not in edits}
-    settings = settings.choosing(**{name: c for name, c in chosen.items() if c is not None})
-    given = {
-        "tap": tuple(str(parse_tap(text)) for text in options.tap) if options.tap else None,
-        "device": options.device and str(parse_device(options.device)),
-        "offset_ms": options.offset_ms,
-        "drop_in": options.drop_in,
-        "engine": options.engine,
-        "device_volume_db": options.device_volume_db,
-    }
-    kept = {n: value for n, value in given.items() if value is not None and n not in edits}
-    live = dataclasses.replace(live, **kept)
+    settings = found.settings.choosing(
+        **given_values(options, [name for name in OF_SETTINGS if name not in edits])
+    )
+    given = given_values(options, [name for name in OF_LIVE if name not in edits])
+    if "tap" in given:
+        given["tap"] = tuple(str(parse_tap(text)) for text in given["tap"])
+    if "device" in given:
+        given["device"] = str(parse_device(given["device"]))
+    live = dataclasses.replace(found.live, **given)
     if live.device is None:
         raise UsageError(
             "no device to play the vibration to; `cushion devices` lists them: name one with "

@@ -12,7 +12,6 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing, suppress
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -46,15 +45,10 @@ PAUSE_S, PAUSE_MORE_S = 0.3, 0.2  # before a click; the random part makes clicks
 REPEAT_S = 2.0  # a click without an answer is repeated after this time
 TRIAL_S = 1.33  # duration of a simulated person's trial
 
-KEYS = {  # beginning of what the terminal sends, in lower case
-    "f": Answer.FELT_FIRST,
-    "\x1b[d": Answer.FELT_FIRST,
-    "\x1bod": Answer.FELT_FIRST,
-    "h": Answer.HEARD_FIRST,
-    "\x1b[c": Answer.HEARD_FIRST,
-    "\x1boc": Answer.HEARD_FIRST,
-    "t": Answer.TOGETHER,
-    " ": Answer.TOGETHER,
+KEYS = {  # beginnings of what the terminal sends, in lower case
+    Answer.FELT_FIRST: ("f", "\x1b[d", "\x1bod"),
+    Answer.HEARD_FIRST: ("h", "\x1b[c", "\x1boc"),
+    Answer.TOGETHER: ("t", " "),
 }
 HELP = """\
 {sink} plays clicks, and each click causes a tap of vibration. Stop all other sound.
@@ -68,33 +62,16 @@ Keys = Callable[[float], str]
 Say = Callable[..., None]
 
 
-@dataclass(frozen=True)
-class Simulated:
-    """What `--simulate` sets, in ms: delay and scatter of a simulated person."""
-
-    delay_ms: float
-    scatter_ms: float = 15.0
-
-    @classmethod
-    def parse(cls, text: str) -> Simulated:
-        """Parse MS[:SCATTER_MS]. UsageError: a value is not a number, or is out of range."""
-        allowed = f"MS {EARLIEST_MS:g} to {LONGEST_MS:g}, SCATTER_MS 1 to 100"
-        with suppress(ValueError):
-            found = cls(*map(float, text.split(":", 1)))
-            if EARLIEST_MS <= found.delay_ms <= LONGEST_MS and 1.0 <= found.scatter_ms <= 100.0:
-                return found
-        raise UsageError(f"simulate={text!r} is not MS[:SCATTER_MS]; allowed: {allowed}")
-
-
 def run(options: argparse.Namespace) -> int:
     """Run the trials with a person or a simulated person; print and store the delay."""
     if options.seed is not None and options.seed < 0:
         raise UsageError(f"seed={options.seed} is out of range; allowed: 0 or more")
     random = np.random.default_rng(options.seed)
     if options.simulate is not None:
-        simulated = Simulated.parse(options.simulate)
-        trials, seconds = _simulate(simulated, random)
-        report: dict[str, Any] = {"simulated": vars(simulated), "stored": False, "heard": None}
+        person = _simulated(options.simulate, random)
+        trials, seconds = _ask_simulated(person)
+        given = {"delay_ms": person.delay_ms, "scatter_ms": person.scatter_ms}
+        report: dict[str, Any] = {"simulated": given, "stored": False, "heard": None}
     else:
         if not (sys.stdin and sys.stdin.isatty()):
             raise UsageError(
@@ -145,8 +122,18 @@ def _checked(trials: SyncTrials) -> Estimate:
     return found
 
 
-def _simulate(simulated: Simulated, random: np.random.Generator) -> tuple[SyncTrials, float]:
-    person = SimulatedPerson(simulated.delay_ms, simulated.scatter_ms, random)
+def _simulated(text: str, random: np.random.Generator) -> SimulatedPerson:
+    """Parse MS[:SCATTER_MS]. UsageError: a value is not a number, or is out of range."""
+    with suppress(ValueError):
+        delay, colon, scatter = text.partition(":")
+        delay_ms, scatter_ms = float(delay), float(scatter) if colon else 15.0
+        if EARLIEST_MS <= delay_ms <= LONGEST_MS and 1.0 <= scatter_ms <= 100.0:
+            return SimulatedPerson(delay_ms, scatter_ms, random)
+    allowed = f"MS {EARLIEST_MS:g} to {LONGEST_MS:g}, SCATTER_MS 1 to 100"
+    raise UsageError(f"simulate={text!r} is not MS[:SCATTER_MS]; allowed: {allowed}")
+
+
+def _ask_simulated(person: SimulatedPerson) -> tuple[SyncTrials, float]:
     trials, now_s = SyncTrials(0.0), 0.0
     while not trials.is_over(now_s + TRIAL_S):
         offset_ms = trials.next_ms()
@@ -253,8 +240,8 @@ def _answer_to(clicks: Clicks, keys: Keys, trials: SyncTrials, offset_ms: float)
         repeat_s = time.monotonic() + min(REPEAT_S, left_s)
         while (wait_s := repeat_s - time.monotonic()) > 0.0:
             pressed = keys(wait_s).lower()
-            for key, answer in KEYS.items():
-                if pressed.startswith(key):
+            for answer, keys_of_answer in KEYS.items():
+                if pressed.startswith(keys_of_answer):
                     return answer
         _sync(try_ms=offset_ms)  # else the daemon would end the trial
     return None

@@ -9,7 +9,6 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
-from enum import Enum, auto
 
 import numpy as np
 
@@ -211,14 +210,6 @@ ANSWERS = {
 }
 
 
-class Felt(Enum):
-    """The user's answer to whether the tone was felt."""
-
-    YES = auto()
-    NO = auto()
-    STOPPED = auto()
-
-
 def try_output(
     device: DeviceAddress,
     pcm: Pcm,
@@ -226,11 +217,11 @@ def try_output(
     actuators: Sequence[ActuatorSettings],
     *,
     ask: bool,
-) -> tuple[Felt, float | None]:
+) -> tuple[str, float | None]:
     """Play a tone, and ask whether it is felt. Return the answer and the amplitude in dBFS.
 
-    actuators: see `open_tone`.
-    ask: if False, play a short tone, ask nothing, and return `Felt.YES` without a level.
+    The answer is yes, no or stop; only yes has an amplitude. actuators: see `open_tone`.
+    ask: if False, play a short tone, ask nothing, and return yes without an amplitude.
     KeyboardInterrupt: as for `choose`; the tone is stopped.
     LostError: the device does not play, or was lost. Other errors are those of `open_tone`.
     """
@@ -240,24 +231,21 @@ def try_output(
         if not ask:
             player.tone.play(db_to_amplitude(FIRST_DB), UNASKED_S, FADE_IN_S)
             player.wait_ended()
-            return Felt.YES, None
+            return "yes", None
         print("The strongest moments will be as strong as the tone.")
         return _ask(player)
 
 
-def _ask(player: TonePlayer) -> tuple[Felt, float | None]:
+def _ask(player: TonePlayer) -> tuple[str, float | None]:
     level_db = FIRST_DB
     while True:
         player.tone.play(db_to_amplitude(level_db), LONGEST_S, FADE_IN_S)
         question = f"{level_db:g} dB. Felt it? yes, louder, no, stop:"
         answer = choose(question, ANSWERS, meanwhile=player.check)
-        if answer == "stop":
-            return Felt.STOPPED, None
-        player.check()
-        if answer == "yes":
-            return Felt.YES, level_db
-        if answer == "no":
-            return Felt.NO, None
+        if answer != "stop":
+            player.check()
+        if answer != "louder":
+            return answer, level_db if answer == "yes" else None
         if math.isclose(level_db, 0.0):
             print("This is full scale: turn the amplifier up, or check the cables.")
         level_db = min(level_db + STEP_DB, 0.0)

@@ -26,7 +26,7 @@ Samplerates = list[int] | dict[str, int] | None  # discrete rates or a range in 
 def formats_of(
     configuration: Configuration | None,
     device: UsbAudioDevice | None = None,
-    asked: Sequence[RateRange] = (),
+    asked: Sequence[dict[str, int]] = (),
     root: Path = PROC,
 ) -> list[dict[str, Any]]:
     """Return formats for JSON: those of the configuration, then those that only the driver lists.
@@ -40,7 +40,7 @@ def formats_of(
         for each in decoded
     ]
     uac = configuration.uac if configuration else None
-    return found + [_listed(setting, each, uac) for setting, each in listed.items()]
+    return found + [_listed(each, uac) for each in listed.values()]
 
 
 def by_setting(device: UsbAudioDevice, root: Path = PROC) -> dict[tuple[int, int], UsbFormat]:
@@ -83,7 +83,7 @@ _DSD = {"raw data", "DSD"}  # "raw data" in USB Audio 2 is taken as native DSD
 
 
 def _decoded(
-    each: PlaybackFormat, listed: UsbFormat | None, asked: Sequence[RateRange]
+    each: PlaybackFormat, listed: UsbFormat | None, asked: Sequence[dict[str, int]]
 ) -> dict[str, Any]:
     rates: Samplerates = None
     if isinstance(each.samplerates, RateRange):
@@ -109,10 +109,10 @@ def _decoded(
     }
 
 
-def _listed(setting: tuple[int, int], each: UsbFormat, uac: int | None) -> dict[str, Any]:
+def _listed(each: UsbFormat, uac: int | None) -> dict[str, Any]:
     return {
-        "interface": setting[0],
-        "alternate": setting[1],
+        "interface": each.interface,
+        "alternate": each.altsetting,
         "audio_class": uac,
         "encodings": ["DSD"] if _is_dsd(each) else list(each.formats),
         "bits": each.bits,
@@ -138,9 +138,7 @@ def _of_driver(rates: Rates) -> Samplerates:
     return list(rates.single)
 
 
-def joined(asked: Sequence[RateRange]) -> Samplerates:
+def joined(asked: Sequence[dict[str, int]]) -> Samplerates:
     """Return sample rates that a device reported, as discrete rates or as one range."""
-    if all(one.lowest == one.highest for one in asked):
-        return [one.lowest for one in asked]
-    lowest, highest = min(one.lowest for one in asked), max(one.highest for one in asked)
-    return {"lowest": lowest, "highest": highest}
+    lowest, highest = zip(*((one["lowest"], one["highest"]) for one in asked), strict=True)
+    return list(lowest) if lowest == highest else {"lowest": min(lowest), "highest": max(highest)}
