@@ -18,6 +18,7 @@ from device.errors import CushionError, NotFoundError, NoUsbDeviceError, UsageEr
 from device.usb import UsbAudioDevice, UsbIdentity, find_devices, find_one, identify
 from device.usb.control import UsbControl, held_by, open_control, read_descriptors
 from device.usb.descriptors import (
+    RateRange,
     WholeDevice,
     hex_lines,
     parse_dump,
@@ -131,7 +132,7 @@ def _document(
         document = {"name": name, "label": device.label, "port": device.port}
         document |= {"cards": [asdict(card) for card in device.cards], "mixer": mixer_of(device)}
     active = whole.active(device.configuration) if device else None
-    asked = (settings or {}).get("samplerates", [])
+    asked = [RateRange(**each) for each in (settings or {}).get("samplerates", [])]
     configurations = [
         {
             "value": each.value,
@@ -218,7 +219,7 @@ def _settings_lines(settings: dict[str, Any] | None) -> list[str]:
     ]
     if "samplerate" in settings:
         lines.append(f"samplerate: {settings['samplerate']} Hz")
-    if rates := settings.get("samplerates"):
+    if rates := [RateRange(**each) for each in settings.get("samplerates", [])]:
         lines.append(f"samplerates of its clock: {samplerates_text(joined(rates))}")
     return lines
 

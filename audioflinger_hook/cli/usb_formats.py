@@ -26,7 +26,7 @@ Samplerates = list[int] | dict[str, int] | None  # discrete rates or a range in 
 def formats_of(
     configuration: Configuration | None,
     device: UsbAudioDevice | None = None,
-    asked: Sequence[dict[str, int]] = (),
+    asked: Sequence[RateRange] = (),
     root: Path = PROC,
 ) -> list[dict[str, Any]]:
     """Return formats for JSON: those of the configuration, then those that only the driver lists.
@@ -83,7 +83,7 @@ _DSD = {"raw data", "DSD"}  # "raw data" in USB Audio 2 is taken as native DSD
 
 
 def _decoded(
-    each: PlaybackFormat, listed: UsbFormat | None, asked: Sequence[dict[str, int]]
+    each: PlaybackFormat, listed: UsbFormat | None, asked: Sequence[RateRange]
 ) -> dict[str, Any]:
     rates: Samplerates = None
     if isinstance(each.samplerates, RateRange):
@@ -138,7 +138,9 @@ def _of_driver(rates: Rates) -> Samplerates:
     return list(rates.single)
 
 
-def joined(asked: Sequence[dict[str, int]]) -> Samplerates:
+def joined(asked: Sequence[RateRange]) -> Samplerates:
     """Return sample rates that a device reported, as discrete rates or as one range."""
-    lowest, highest = zip(*((one["lowest"], one["highest"]) for one in asked), strict=True)
-    return list(lowest) if lowest == highest else {"lowest": min(lowest), "highest": max(highest)}
+    if all(one.lowest == one.highest for one in asked):
+        return [one.lowest for one in asked]
+    lowest, highest = min(one.lowest for one in asked), max(one.highest for one in asked)
+    return {"lowest": lowest, "highest": highest}

@@ -46,7 +46,8 @@ class LevelMeter:
     def __init__(self, samplerate: float) -> None:
         self._rms_rate = -1.0 / (RMS_TIME_S * samplerate)
         self._fall_rate = -PEAK_FALL_DB_PER_S * math.log(10.0) / (20.0 * samplerate)
-        self.reset()
+        # Peaks and mean squares are one object, so other threads read consistent values.
+        self._of_channels: tuple[FloatArray, FloatArray] = (np.zeros(1), np.zeros(1))
 
     def add(self, block: Float32Array) -> float:
         """Measure a block of shape (frames, channels) or (frames,); return its peak."""
@@ -71,8 +72,7 @@ class LevelMeter:
 
     def reset(self) -> None:
         """Restart with silence."""
-        # Peaks and mean squares are one object, so other threads read consistent values.
-        self._of_channels: tuple[FloatArray, FloatArray] = (np.zeros(1), np.zeros(1))
+        self._of_channels = (np.zeros(1), np.zeros(1))
 
     def level(self) -> Level:
         """Return the current level, at least FLOOR_DBFS."""
