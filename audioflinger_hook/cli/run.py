@@ -32,8 +32,8 @@ from audioflinger_hook.service.install import state_folder
 from audioflinger_hook.service.runtime_folder import DaemonLock, Holder, RuntimeFolder
 from audioflinger_hook.service.status_server import StatusServer
 from audioflinger_hook.service.systemd import Watchdog, watchdog_period_s
-from audioflinger_hook.sources import TapAddress, parse_tap
-from device.address import DeviceAddress, parse_device
+from audioflinger_hook.sources import parse_tap
+from device.address import parse_device
 from device.errors import LostError, NotFoundError, UsageError
 from device.server import PulseConnection
 from device.stream import filter_stderr
@@ -155,7 +155,6 @@ def _run_config(options: argparse.Namespace, edits: Edits | None = None) -> RunC
     if run_config.device.kind == "usb" and not run_config.tap_is_live:
         run_config = dataclasses.replace(run_config, past_server=not _server_answers())
     _check_config(run_config)
-    _check_overwriting(run_config.tap, run_config.device)
     return run_config
 
 
@@ -167,21 +166,19 @@ def _server_answers() -> bool:
 
 
 def _check_config(run_config: RunConfig) -> None:
-    if run_config.tap.kind not in LIVE_TAPS + PACED_TAPS:
-        raise NotFoundError(f"tap {str(run_config.tap)!r}: `cushion run` cannot listen to it")
+    tap, device = run_config.tap, run_config.device
+    if tap.kind not in LIVE_TAPS + PACED_TAPS:
+        raise NotFoundError(f"tap {str(tap)!r}: `cushion run` cannot listen to it")
     _ = run_config.rules
     numbered = run_config.device_is_a_card or not run_config.device_is_live
     if run_config.settings.actuators and numbered:
         # The property raises an error if an actuator names a channel; only sinks name channels.
         _ = run_config.settings.numbered_channels
-    if run_config.live.drop_in and run_config.tap.kind not in ("default", "app"):
+    if run_config.live.drop_in and tap.kind not in ("default", "app"):
         raise UsageError(
-            f"tap {str(run_config.tap)!r}: drop-in mode forwards to the default sink; the tap "
+            f"tap {str(tap)!r}: drop-in mode forwards to the default sink; the tap "
             "must be default or app:NAME"
         )
-
-
-def _check_overwriting(tap: TapAddress, device: DeviceAddress) -> None:
     if device.kind == "wav":
         played = {"file": [Path(tap.name)], "capture": capture_files(Path(tap.name))}
         for source in played.get(tap.kind, []):

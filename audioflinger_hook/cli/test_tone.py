@@ -26,6 +26,7 @@ from device.server.guard import Hold
 from device.server.snapshot import Sink
 from device.stream import PcmConfig, PlaybackStream, filter_stderr
 from device.stream.pcms import CardDevice, Pcm, ServerDevice
+from device.stream.sample_format import SampleFormat
 from device.units import Float32Array, db_to_amplitude
 from device.usb.identity import coil_channels
 
@@ -134,29 +135,36 @@ def open_tone(
     LostError: the device or the server does not answer.
     """
     with ExitStack() as stack:
-        if device.kind == "hw":
-            yield _on_card(device, pcm, hz, actuators, stack)
-            return
-        sink = device.sink(connection.latest)
-        stack.callback(FallbackSink(connection).close)
-        pcm.target = ServerDevice(sink.name)
-        tone = Tone(hz, sink.samplerate, _playing(sink_channel_map(sink, actuators)))
-        stream = PlaybackStream(pcm, sink.samplerate, sink.channels, tone.fill)
+        sink = None if device.kind == "hw" else device.sink(connection.latest)
+        if sink is None:
+            name, setup, channel_map = _on_card(device, pcm, actuators)
+        else:
+            stack.callback(FallbackSink(connection).close)
+            pcm.target = ServerDevice(sink.name)
+            name = f"{sink.name} ({sink.description})"
+            setup = CardSetup(SampleFormat.FLOAT32, sink.samplerate, sink.channels)
+            channel_map = sink_channel_map(sink, actuators)
+        playing = [
+            number for number, source in enumerate(channel_map.sources) if source is not None
+        ]
+        tone = Tone(hz, setup.samplerate, playing)
+        stream = PlaybackStream(
+            pcm, setup.samplerate, setup.channels, tone.fill, sample_format=setup.sample_format
+        )
         stack.callback(stream.close)
-        guard = StreamGuard(connection, stream, sink.name)
-        stack.callback(guard.release)
-        player = TonePlayer(f"{sink.name} ({sink.description})", tone, stream, guard)
+        guard = StreamGuard(connection, stream, sink.name) if sink else None
+        if guard:
+            stack.callback(guard.release)
+        player = TonePlayer(name, tone, stream, guard)
         stack.callback(player.fade_out)
+        if guard is None:
+            stream.audible = True
         yield player
 
 
 def _on_card(
-    device: DeviceAddress,
-    pcm: Pcm,
-    hz: float,
-    actuators: Sequence[ActuatorSettings],
-    stack: ExitStack,
-) -> TonePlayer:
+    device: DeviceAddress, pcm: Pcm, actuators: Sequence[ActuatorSettings]
+) -> tuple[str, CardSetup, ChannelMap]:
     playback = find_playback(device.name)
     coils = coil_channels(*playback.card.usb_id)
     wiring = wiring_of(actuators)
@@ -167,15 +175,7 @@ def _on_card(
         if actuators
         else ChannelMap.on_coils(1, setup.channels, coils, str(playback))
     )
-    tone = Tone(hz, setup.samplerate, _playing(channel_map))
-    stream = PlaybackStream(
-        pcm, setup.samplerate, setup.channels, tone.fill, sample_format=setup.sample_format
-    )
-    stack.callback(stream.close)
-    player = TonePlayer(f"{playback} ({playback.name})", tone, stream, None)
-    stack.callback(player.fade_out)
-    stream.audible = True
-    return player
+    return f"{playback} ({playback.name})", setup, channel_map
 
 
 def free_card(
@@ -190,10 +190,6 @@ def free_card(
         raise NotFoundError(refused)
     setup = choose_setup(list_offers(device), rate_hz, needed, least)
     return CardDevice(device.card.number, device.device), setup
-
-
-def _playing(channel_map: ChannelMap) -> list[int]:
-    return [channel for channel, source in enumerate(channel_map.sources) if source is not None]
 
 
 TONE_HZ = 60.0
