@@ -32,11 +32,10 @@ from device.server import PulseConnection, ServerSnapshot
 from device.stream import PcmConfig, filter_stderr
 from device.stream.pcms import missing_plugin
 from device.usb import find_devices
-from device.values import Choice
+from device.values import nearest
 
 SPEECH_FREE = "speech-free"
 SPEECH_KEY, SPEECH_SUPPRESSION_DB = "transform.speech_suppression_db", 12.0
-PROFILE = Choice("profile", words=(*PROFILES, SPEECH_FREE))
 
 PLAYED = {  # what users play, keyed by profile
     "cinema": "films, and everything else",
@@ -66,8 +65,7 @@ def run(options: argparse.Namespace) -> int:
     wired: tuple[ActuatorSettings, ...] = ()
     if before is not None:  # the user must repair a config with mistakes first
         wired = config.load(path, LIVE_DEFAULT).settings.actuators
-    if options.profile is not None and (refusal := PROFILE.refuse(options.profile)):
-        raise UsageError(f"profile={options.profile!r} {refusal}")
+    _check_profile(options.profile)
     has_service = not options.no_service and autostart.is_on()
     choice = _chosen(options, wired)
     if choice is None:
@@ -96,8 +94,16 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
+def _check_profile(name: str | None) -> None:
+    known = (*PROFILES, SPEECH_FREE)
+    if name is not None and name not in known:
+        guess = nearest(name, known)
+        offer = f"; did you mean {guess}?" if guess else ""
+        raise UsageError(f"profile={name!r} is not known; allowed: {', '.join(known)}{offer}")
+
+
 @dataclass(frozen=True)
-class Chosen:
+class Choice:
     """The chosen output, level and channels."""
 
     output: Output
@@ -105,7 +111,7 @@ class Chosen:
     channels: tuple[str, ...]  # channels of the actuators; empty: all, or those of the config
 
 
-def _chosen(options: argparse.Namespace, wired: tuple[ActuatorSettings, ...]) -> Chosen | None:
+def _chosen(options: argparse.Namespace, wired: tuple[ActuatorSettings, ...]) -> Choice | None:
     """Return what was chosen; None if the user stopped the tone. wired: the config's actuators."""
     filter_stderr()
     named = None if options.device is None else parse_device(options.device)
@@ -138,7 +144,7 @@ def _chosen(options: argparse.Namespace, wired: tuple[ActuatorSettings, ...]) ->
                     felt = "no"
                     print(error)
             if felt == "yes":
-                return Chosen(output, level_db, channels)
+                return Choice(output, level_db, channels)
             if felt == "stop":
                 return None
             if named is not None:

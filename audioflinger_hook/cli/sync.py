@@ -10,14 +10,13 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.cli.clicks import Clicks, open_clicks
 from audioflinger_hook.cli.terminal import pressed_keys, warn
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Status
@@ -31,10 +30,12 @@ from audioflinger_hook.service.sync_trials import (
     SimulatedPerson,
     SyncTrials,
 )
-from device.errors import CushionError, NotFoundError, UsageError
+from device.errors import CushionError, LostError, NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.snapshot import Sink
-from device.stream import PcmConfig, filter_stderr
+from device.stream import PcmConfig, PlaybackStream, filter_stderr
+from device.stream.pcms import Pcm, ServerDevice
+from device.units import Float32Array
 
 PCM, ROLE = "cushion_click", "test"  # with this role, the daemon captures the clicks
 
@@ -44,6 +45,10 @@ STATUS_EVERY_S = 0.1
 PAUSE_S, PAUSE_MORE_S = 0.3, 0.2  # before a click; the random part makes clicks unpredictable
 REPEAT_S = 2.0  # a click without an answer is repeated after this time
 TRIAL_S = 1.33  # duration of a simulated person's trial
+
+# The profiles for live sound turn this short click into a strong tap of about 16 ms.
+CLICK_HZ, DECAY_S, CLICK_S, LEVEL = 2_000.0, 0.004, 0.04, 0.25
+BEGINS_S = 5.0  # longest time until a new stream plays
 
 KEYS = {  # beginnings of what the terminal sends, in lower case
     Answer.FELT_FIRST: ("f", "\x1b[d", "\x1bod"),
@@ -60,6 +65,45 @@ The test takes about a minute. Ctrl+C ends it, and stores nothing."""
 
 Keys = Callable[[float], str]
 Say = Callable[..., None]
+
+
+class Clicks:
+    """Plays a click whenever `play` is called, while its stream is open."""
+
+    def __init__(self, samplerate: int) -> None:
+        time_s = np.arange(round(CLICK_S * samplerate)) / samplerate
+        wave = np.cos(2.0 * np.pi * CLICK_HZ * time_s) * np.exp(-time_s / DECAY_S)
+        self._click = (LEVEL * wave).astype(np.float32)
+        self._next = self._click.size  # frame of the click to play next
+        self.stream: PlaybackStream | None = None
+
+    def play(self) -> None:
+        """Begin a click. LostError: the stream has ended."""
+        if self.stream is None or self.stream.is_lost():
+            raise LostError("the output was lost during the test; connect it, and try again")
+        self._next = 0
+
+    def fill(self, out: Float32Array, now_s: float) -> None:
+        """Write the next frames to the first two channels. Only the output's thread calls it."""
+        part = self._click[self._next : self._next + len(out)]
+        out[: part.size, :2] = part[:, None]
+        self._next += part.size
+
+
+@contextmanager
+def open_clicks(sink: Sink, pcm: Pcm) -> Iterator[Clicks]:
+    """Open a stream for clicks on a sink. LostError: it does not play within BEGINS_S."""
+    pcm.target = ServerDevice(sink.name)
+    clicks = Clicks(sink.samplerate)
+    stream = clicks.stream = PlaybackStream(pcm, sink.samplerate, sink.channels, clicks.fill)
+    with closing(stream):
+        stream.audible = True
+        end_s = time.monotonic() + BEGINS_S
+        while stream.callbacks < 2:
+            if time.monotonic() > end_s:
+                raise LostError(f"{sink.name} does not play after {BEGINS_S:g} s; check the output")
+            time.sleep(0.01)
+        yield clicks
 
 
 def run(options: argparse.Namespace) -> int:

@@ -9,7 +9,6 @@ import string
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -224,17 +223,18 @@ def own_text(path: Path, mark: str) -> str | None:
 
     UsageError: another program wrote the file, or it cannot be read.
     """
-    text = ""
-    with suppress(OSError, UnicodeDecodeError):
-        try:
-            found = path.lstat()
-        except (FileNotFoundError, NotADirectoryError):  # `replace_own` reports NotADirectoryError
-            return None
-        if stat.S_ISREG(found.st_mode) and found.st_size <= OWN_BYTES_MAX:
-            text = path.read_text(encoding="utf-8")
+    try:
+        found = path.lstat()
+        is_usual = stat.S_ISREG(found.st_mode) and found.st_size <= OWN_BYTES_MAX
+        text = path.read_text(encoding="utf-8", errors="replace") if is_usual else ""
+    except (FileNotFoundError, NotADirectoryError):  # `replace_own` reports NotADirectoryError
+        return None
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror}; move it away first") from error
     if not text.startswith(mark):
-        by = mark.removeprefix("# Written by ").rstrip(".")
-        raise UsageError(f"{path} was not written by {by} and is left alone; move it away first")
+        raise UsageError(
+            f"{path} was not written by `cushion` and is left alone; move it away first"
+        )
     return text
 
 
