@@ -3,7 +3,7 @@
 import argparse
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
@@ -138,6 +138,12 @@ def join_lists(arguments: Sequence[str]) -> list[str]:
         else:
             joined.append(argument)
     return joined
+
+
+def given_values(options: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
+    """Return those options among `names` that the user gave, with their values."""
+    values = {name: getattr(options, name) for name in names}
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _read(kind: Callable[[str], T], text: str, problem: str) -> T:

@@ -15,7 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from audioflinger_hook.cli.render import given_values
+from audioflinger_hook.cli.arguments import given_values
 from audioflinger_hook.cli.terminal import LineConsole, as_typed, level_text, warn
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.inspection import inspect_tap

@@ -5,7 +5,7 @@ import sys
 
 from audioflinger_hook.config import file as config
 from audioflinger_hook.service import autostart
-from audioflinger_hook.service.install import UDEV_COMMAND, install, remove, systemd_version
+from audioflinger_hook.service.install import UDEV_COMMAND, install, restore, systemd_version
 from audioflinger_hook.sources import parse_tap
 from device.address import parse_device
 from device.errors import UsageError
@@ -18,7 +18,7 @@ def run(options: argparse.Namespace) -> int:
         return 0
     if options.remove:
         autostart.set_on(False)
-        done = remove()
+        done = restore(None)
         print(f"{done.path}: {'removed' if done.changed else 'was not installed'}")
     else:
         arguments = ["--wait"]

@@ -9,6 +9,7 @@ from contextlib import nullcontext, suppress
 from datetime import datetime
 from pathlib import Path
 
+from audioflinger_hook.cli.arguments import given_values
 from audioflinger_hook.cli.process import Signals, allow_open_files, freeze_loaded_objects
 from audioflinger_hook.cli.replay import capture_files
 from audioflinger_hook.cli.run_reporter import RunReporter
@@ -29,11 +30,15 @@ from audioflinger_hook.service.install import state_folder
 from audioflinger_hook.service.runtime_folder import DaemonLock, Holder, RuntimeFolder
 from audioflinger_hook.service.status_server import StatusServer
 from audioflinger_hook.service.systemd import Watchdog, watchdog_period_s
-from audioflinger_hook.sources import TapAddress, parse_tap
-from device.address import DeviceAddress, parse_device
+from audioflinger_hook.sources import parse_tap
+from device.address import parse_device
 from device.errors import LostError, NotFoundError, UsageError
 from device.server import PulseConnection
 from device.stream import filter_stderr
+
+# Options that override keys of the config.
+OF_SETTINGS = ("profile", "rig", "damping", "protection", "model", "tolerance")
+OF_LIVE = ("tap", "device", "offset_ms", "drop_in", "engine", "device_volume_db")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -130,20 +135,15 @@ def _run_config(options: argparse.Namespace, edits: Edits | None = None) -> RunC
         found = config.load(path, options.default_profile, edits or None)
     else:
         found = config.Config(Settings(profile=options.default_profile))
-    settings, live = found.settings, found.live
-    names = ("profile", "rig", "damping", "protection", "model", "tolerance")
-    chosen = {name: getattr(options, name) for name in names if name not in edits}
-    settings = settings.choosing(**{name: c for name, c in chosen.items() if c is not None})
-    given = {
-        "tap": tuple(str(parse_tap(text)) for text in options.tap) if options.tap else None,
-        "device": options.device and str(parse_device(options.device)),
-        "offset_ms": options.offset_ms,
-        "drop_in": options.drop_in,
-        "engine": options.engine,
-        "device_volume_db": options.device_volume_db,
-    }
-    kept = {n: value for n, value in given.items() if value is not None and n not in edits}
-    live = dataclasses.replace(live, **kept)
+    settings = found.settings.choosing(
+        **given_values(options, [name for name in OF_SETTINGS if name not in edits])
+    )
+    given = given_values(options, [name for name in OF_LIVE if name not in edits])
+    if "tap" in given:
+        given["tap"] = tuple(str(parse_tap(text)) for text in given["tap"])
+    if "device" in given:
+        given["device"] = str(parse_device(given["device"]))
+    live = dataclasses.replace(found.live, **given)
     if live.device is None:
         raise UsageError(
             "no device to play the vibration to; `cushion devices` lists them: name one with "
@@ -153,7 +153,6 @@ def _run_config(options: argparse.Namespace, edits: Edits | None = None) -> RunC
     if run_config.device.kind == "usb" and not run_config.tap_is_live:
         run_config = dataclasses.replace(run_config, past_server=not _server_answers())
     _check_config(run_config)
-    _check_overwriting(run_config.tap, run_config.device)
     return run_config
 
 
@@ -165,21 +164,19 @@ def _server_answers() -> bool:
 
 
 def _check_config(run_config: RunConfig) -> None:
-    if run_config.tap.kind not in LIVE_TAPS + PACED_TAPS:
-        raise NotFoundError(f"tap {str(run_config.tap)!r}: `cushion run` cannot listen to it")
+    tap, device = run_config.tap, run_config.device
+    if tap.kind not in LIVE_TAPS + PACED_TAPS:
+        raise NotFoundError(f"tap {str(tap)!r}: `cushion run` cannot listen to it")
     _ = run_config.rules
     numbered = run_config.device_is_a_card or not run_config.device_is_live
     if run_config.settings.actuators and numbered:
         # The property raises an error if an actuator names a channel; only sinks name channels.
         _ = run_config.settings.numbered_channels
-    if run_config.live.drop_in and run_config.tap.kind not in ("default", "app"):
+    if run_config.live.drop_in and tap.kind not in ("default", "app"):
         raise UsageError(
-            f"tap {str(run_config.tap)!r}: drop-in mode forwards to the default sink; the tap "
+            f"tap {str(tap)!r}: drop-in mode forwards to the default sink; the tap "
             "must be default or app:NAME"
         )
-
-
-def _check_overwriting(tap: TapAddress, device: DeviceAddress) -> None:
     if device.kind == "wav":
         played = {"file": [Path(tap.name)], "capture": capture_files(Path(tap.name))}
         for source in played.get(tap.kind, []):

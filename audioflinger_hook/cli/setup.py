@@ -15,7 +15,7 @@ from typing import Any
 from audioflinger_hook.cli import setup_files
 from audioflinger_hook.cli.outputs import COILS, SOUND, SURROUND, Output, list_outputs, shaker_pair
 from audioflinger_hook.cli.terminal import agree, as_typed, name_some, pick, warn
-from audioflinger_hook.cli.test_tone import PCM, Felt, try_output
+from audioflinger_hook.cli.test_tone import PCM, try_output
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.edits import actuator_text, commented_text, edited_text
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
@@ -128,7 +128,7 @@ def _chosen(options: argparse.Namespace, wired: tuple[ActuatorSettings, ...]) ->
                 output = _first(outputs) if options.yes else _ask_output(outputs)
             _warn_of_sound(output, options.yes, named is not None)
             channels = () if wired or options.yes else _ask_channels(output)
-            felt, level_db = Felt.YES, None
+            felt, level_db = "yes", None
             if not options.no_test:
                 actuators = (ActuatorSettings(channels),) if channels else wired
                 device = parse_device(output.address)
@@ -139,11 +139,11 @@ def _chosen(options: argparse.Namespace, wired: tuple[ActuatorSettings, ...]) ->
                 except (LostError, NotFoundError, UsageError) as error:
                     if options.yes or named is not None:
                         raise
-                    felt = Felt.NO
+                    felt = "no"
                     print(error)
-            if felt is Felt.YES:
+            if felt == "yes":
                 return Choice(output, level_db, channels)
-            if felt is Felt.STOPPED:
+            if felt == "stop":
                 return None
             if named is not None:
                 raise NotFoundError(

@@ -10,15 +10,13 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable
-from contextlib import ExitStack, closing, suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.cli.clicks import Clicks, open_clicks
 from audioflinger_hook.cli.terminal import pressed_keys, warn
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Status
@@ -32,10 +30,12 @@ from audioflinger_hook.service.sync_trials import (
     SimulatedPerson,
     SyncTrials,
 )
-from device.errors import CushionError, NotFoundError, UsageError
+from device.errors import CushionError, LostError, NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.snapshot import Sink
-from device.stream import PcmConfig, filter_stderr
+from device.stream import PcmConfig, PlaybackStream, filter_stderr
+from device.stream.pcms import Pcm, ServerDevice
+from device.units import Float32Array
 
 PCM, ROLE = "cushion_click", "test"  # with this role, the daemon captures the clicks
 
@@ -46,15 +46,14 @@ PAUSE_S, PAUSE_MORE_S = 0.3, 0.2  # before a click; the random part makes clicks
 REPEAT_S = 2.0  # a click without an answer is repeated after this time
 TRIAL_S = 1.33  # duration of a simulated person's trial
 
-KEYS = {  # beginning of what the terminal sends, in lower case
-    "f": Answer.FELT_FIRST,
-    "\x1b[d": Answer.FELT_FIRST,
-    "\x1bod": Answer.FELT_FIRST,
-    "h": Answer.HEARD_FIRST,
-    "\x1b[c": Answer.HEARD_FIRST,
-    "\x1boc": Answer.HEARD_FIRST,
-    "t": Answer.TOGETHER,
-    " ": Answer.TOGETHER,
+# The profiles for live sound turn this short click into a strong tap of about 16 ms.
+CLICK_HZ, DECAY_S, CLICK_S, LEVEL = 2_000.0, 0.004, 0.04, 0.25
+BEGINS_S = 5.0  # longest time until a new stream plays
+
+KEYS = {  # beginnings of what the terminal sends, in lower case
+    Answer.FELT_FIRST: ("f", "\x1b[d", "\x1bod"),
+    Answer.HEARD_FIRST: ("h", "\x1b[c", "\x1boc"),
+    Answer.TOGETHER: ("t", " "),
 }
 HELP = """\
 {sink} plays clicks, and each click causes a tap of vibration. Stop all other sound.
@@ -68,22 +67,43 @@ Keys = Callable[[float], str]
 Say = Callable[..., None]
 
 
-@dataclass(frozen=True)
-class Simulated:
-    """What `--simulate` sets, in ms: delay and scatter of a simulated person."""
+class Clicks:
+    """Plays a click whenever `play` is called, while its stream is open."""
 
-    delay_ms: float
-    scatter_ms: float = 15.0
+    def __init__(self, samplerate: int) -> None:
+        time_s = np.arange(round(CLICK_S * samplerate)) / samplerate
+        wave = np.cos(2.0 * np.pi * CLICK_HZ * time_s) * np.exp(-time_s / DECAY_S)
+        self._click = (LEVEL * wave).astype(np.float32)
+        self._next = self._click.size  # frame of the click to play next
+        self.stream: PlaybackStream | None = None
 
-    @classmethod
-    def parse(cls, text: str) -> Simulated:
-        """Parse MS[:SCATTER_MS]. UsageError: a value is not a number, or is out of range."""
-        allowed = f"MS {EARLIEST_MS:g} to {LONGEST_MS:g}, SCATTER_MS 1 to 100"
-        with suppress(ValueError):
-            found = cls(*map(float, text.split(":", 1)))
-            if EARLIEST_MS <= found.delay_ms <= LONGEST_MS and 1.0 <= found.scatter_ms <= 100.0:
-                return found
-        raise UsageError(f"simulate={text!r} is not MS[:SCATTER_MS]; allowed: {allowed}")
+    def play(self) -> None:
+        """Begin a click. LostError: the stream has ended."""
+        if self.stream is None or self.stream.is_lost():
+            raise LostError("the output was lost during the test; connect it, and try again")
+        self._next = 0
+
+    def fill(self, out: Float32Array, now_s: float) -> None:
+        """Write the next frames to the first two channels. Only the output's thread calls it."""
+        part = self._click[self._next : self._next + len(out)]
+        out[: part.size, :2] = part[:, None]
+        self._next += part.size
+
+
+@contextmanager
+def open_clicks(sink: Sink, pcm: Pcm) -> Iterator[Clicks]:
+    """Open a stream for clicks on a sink. LostError: it does not play within BEGINS_S."""
+    pcm.target = ServerDevice(sink.name)
+    clicks = Clicks(sink.samplerate)
+    stream = clicks.stream = PlaybackStream(pcm, sink.samplerate, sink.channels, clicks.fill)
+    with closing(stream):
+        stream.audible = True
+        end_s = time.monotonic() + BEGINS_S
+        while stream.callbacks < 2:
+            if time.monotonic() > end_s:
+                raise LostError(f"{sink.name} does not play after {BEGINS_S:g} s; check the output")
+            time.sleep(0.01)
+        yield clicks
 
 
 def run(options: argparse.Namespace) -> int:
@@ -92,9 +112,10 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"seed={options.seed} is out of range; allowed: 0 or more")
     random = np.random.default_rng(options.seed)
     if options.simulate is not None:
-        simulated = Simulated.parse(options.simulate)
-        trials, seconds = _simulate(simulated, random)
-        report: dict[str, Any] = {"simulated": vars(simulated), "stored": False, "heard": None}
+        person = _simulated(options.simulate, random)
+        trials, seconds = _ask_simulated(person)
+        given = {"delay_ms": person.delay_ms, "scatter_ms": person.scatter_ms}
+        report: dict[str, Any] = {"simulated": given, "stored": False, "heard": None}
     else:
         if not (sys.stdin and sys.stdin.isatty()):
             raise UsageError(
@@ -145,8 +166,18 @@ def _checked(trials: SyncTrials) -> Estimate:
     return found
 
 
-def _simulate(simulated: Simulated, random: np.random.Generator) -> tuple[SyncTrials, float]:
-    person = SimulatedPerson(simulated.delay_ms, simulated.scatter_ms, random)
+def _simulated(text: str, random: np.random.Generator) -> SimulatedPerson:
+    """Parse MS[:SCATTER_MS]. UsageError: a value is not a number, or is out of range."""
+    with suppress(ValueError):
+        delay, colon, scatter = text.partition(":")
+        delay_ms, scatter_ms = float(delay), float(scatter) if colon else 15.0
+        if EARLIEST_MS <= delay_ms <= LONGEST_MS and 1.0 <= scatter_ms <= 100.0:
+            return SimulatedPerson(delay_ms, scatter_ms, random)
+    allowed = f"MS {EARLIEST_MS:g} to {LONGEST_MS:g}, SCATTER_MS 1 to 100"
+    raise UsageError(f"simulate={text!r} is not MS[:SCATTER_MS]; allowed: {allowed}")
+
+
+def _ask_simulated(person: SimulatedPerson) -> tuple[SyncTrials, float]:
     trials, now_s = SyncTrials(0.0), 0.0
     while not trials.is_over(now_s + TRIAL_S):
         offset_ms = trials.next_ms()
@@ -253,8 +284,8 @@ def _answer_to(clicks: Clicks, keys: Keys, trials: SyncTrials, offset_ms: float)
         repeat_s = time.monotonic() + min(REPEAT_S, left_s)
         while (wait_s := repeat_s - time.monotonic()) > 0.0:
             pressed = keys(wait_s).lower()
-            for key, answer in KEYS.items():
-                if pressed.startswith(key):
+            for answer, keys_of_answer in KEYS.items():
+                if pressed.startswith(keys_of_answer):
                     return answer
         _sync(try_ms=offset_ms)  # else the daemon would end the trial
     return None

@@ -7,7 +7,6 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
-from enum import Enum, auto
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from device.server.guard import Hold
 from device.server.snapshot import Sink
 from device.stream import PcmConfig, PlaybackStream, filter_stderr
 from device.stream.pcms import CardDevice, Pcm, ServerDevice
+from device.stream.sample_format import SampleFormat
 from device.units import Float32Array, db_to_amplitude
 from device.usb.identity import coil_channels
 
@@ -133,29 +133,36 @@ def open_tone(
     LostError: the device or the server does not answer.
     """
     with ExitStack() as stack:
-        if device.kind == "hw":
-            yield _on_card(device, pcm, hz, actuators, stack)
-            return
-        sink = device.sink(connection.latest)
-        stack.callback(FallbackSink(connection).close)
-        pcm.target = ServerDevice(sink.name)
-        tone = Tone(hz, sink.samplerate, _playing(sink_channel_map(sink, actuators)))
-        stream = PlaybackStream(pcm, sink.samplerate, sink.channels, tone.fill)
+        sink = None if device.kind == "hw" else device.sink(connection.latest)
+        if sink is None:
+            name, setup, channel_map = _on_card(device, pcm, actuators)
+        else:
+            stack.callback(FallbackSink(connection).close)
+            pcm.target = ServerDevice(sink.name)
+            name = f"{sink.name} ({sink.description})"
+            setup = CardSetup(SampleFormat.FLOAT32, sink.samplerate, sink.channels)
+            channel_map = sink_channel_map(sink, actuators)
+        playing = [
+            number for number, source in enumerate(channel_map.sources) if source is not None
+        ]
+        tone = Tone(hz, setup.samplerate, playing)
+        stream = PlaybackStream(
+            pcm, setup.samplerate, setup.channels, tone.fill, sample_format=setup.sample_format
+        )
         stack.callback(stream.close)
-        guard = StreamGuard(connection, stream, sink.name)
-        stack.callback(guard.release)
-        player = TonePlayer(f"{sink.name} ({sink.description})", tone, stream, guard)
+        guard = StreamGuard(connection, stream, sink.name) if sink else None
+        if guard:
+            stack.callback(guard.release)
+        player = TonePlayer(name, tone, stream, guard)
         stack.callback(player.fade_out)
+        if guard is None:
+            stream.audible = True
         yield player
 
 
 def _on_card(
-    device: DeviceAddress,
-    pcm: Pcm,
-    hz: float,
-    actuators: Sequence[ActuatorSettings],
-    stack: ExitStack,
-) -> TonePlayer:
+    device: DeviceAddress, pcm: Pcm, actuators: Sequence[ActuatorSettings]
+) -> tuple[str, CardSetup, ChannelMap]:
     playback = find_playback(device.name)
     coils = coil_channels(*playback.card.usb_id)
     wiring = wiring_of(actuators)
@@ -166,15 +173,7 @@ def _on_card(
         if actuators
         else ChannelMap.on_coils(1, setup.channels, coils, str(playback))
     )
-    tone = Tone(hz, setup.samplerate, _playing(channel_map))
-    stream = PlaybackStream(
-        pcm, setup.samplerate, setup.channels, tone.fill, sample_format=setup.sample_format
-    )
-    stack.callback(stream.close)
-    player = TonePlayer(f"{playback} ({playback.name})", tone, stream, None)
-    stack.callback(player.fade_out)
-    stream.audible = True
-    return player
+    return f"{playback} ({playback.name})", setup, channel_map
 
 
 def free_card(
@@ -191,10 +190,6 @@ def free_card(
     return CardDevice(device.card.number, device.device), setup
 
 
-def _playing(channel_map: ChannelMap) -> list[int]:
-    return [channel for channel, source in enumerate(channel_map.sources) if source is not None]
-
-
 TONE_HZ = 60.0
 FIRST_DB, STEP_DB = -24.0, 6.0  # first level in dB of full scale; "louder" adds STEP_DB
 FADE_IN_S = 2.0
@@ -209,14 +204,6 @@ ANSWERS = {
 }
 
 
-class Felt(Enum):
-    """The user's answer to whether the tone was felt."""
-
-    YES = auto()
-    NO = auto()
-    STOPPED = auto()
-
-
 def try_output(
     device: DeviceAddress,
     pcm: Pcm,
@@ -224,11 +211,11 @@ def try_output(
     actuators: Sequence[ActuatorSettings],
     *,
     ask: bool,
-) -> tuple[Felt, float | None]:
+) -> tuple[str, float | None]:
     """Play a tone, and ask whether it is felt. Return the answer and the amplitude in dBFS.
 
-    actuators: see `open_tone`.
-    ask: if False, play a short tone, ask nothing, and return `Felt.YES` without a level.
+    The answer is yes, no or stop; only yes has an amplitude. actuators: see `open_tone`.
+    ask: if False, play a short tone, ask nothing, and return yes without an amplitude.
     KeyboardInterrupt: as for `choose`; the tone is stopped.
     LostError: the device does not play, or was lost. Other errors are those of `open_tone`.
     """
@@ -238,24 +225,21 @@ def try_output(
         if not ask:
             player.tone.play(db_to_amplitude(FIRST_DB), UNASKED_S, FADE_IN_S)
             player.wait_ended()
-            return Felt.YES, None
+            return "yes", None
         print("The strongest moments will be as strong as the tone.")
         return _ask(player)
 
 
-def _ask(player: TonePlayer) -> tuple[Felt, float | None]:
+def _ask(player: TonePlayer) -> tuple[str, float | None]:
     level_db = FIRST_DB
     while True:
         player.tone.play(db_to_amplitude(level_db), LONGEST_S, FADE_IN_S)
         question = f"{level_db:g} dB. Felt it? yes, louder, no, stop:"
         answer = choose(question, ANSWERS, meanwhile=player.check)
-        if answer == "stop":
-            return Felt.STOPPED, None
-        player.check()
-        if answer == "yes":
-            return Felt.YES, level_db
-        if answer == "no":
-            return Felt.NO, None
+        if answer != "stop":
+            player.check()
+        if answer != "louder":
+            return answer, level_db if answer == "yes" else None
         if math.isclose(level_db, 0.0):
             print("This is full scale: turn the amplifier up, or check the cables.")
         level_db = min(level_db + STEP_DB, 0.0)

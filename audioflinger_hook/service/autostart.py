@@ -12,12 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from audioflinger_hook.service import install
-from audioflinger_hook.service.desktop_entry import (
-    daemon_entry,
-    is_ours,
-    remove_entry,
-    write_entry,
-)
+from audioflinger_hook.service.desktop_entry import MARK, daemon_entry
 from device.atomic_file import make_private_folder, remove_file
 from device.errors import UsageError
 
@@ -35,7 +30,7 @@ def is_on(environ: Mapping[str, str] = os.environ) -> bool:
 
     UsageError: no home folder is known, or another program wrote the unit or the entry.
     """
-    if is_ours(_entry(environ)):
+    if install.own_text(_entry(environ), MARK):
         return True
     if not has_systemd():
         return False
@@ -43,9 +38,7 @@ def is_on(environ: Mapping[str, str] = os.environ) -> bool:
 
 
 def set_on(
-    on: bool,
-    environ: Mapping[str, str] = os.environ,
-    command: Sequence[str] | None = None,
+    on: bool, environ: Mapping[str, str] = os.environ, command: Sequence[str] | None = None
 ) -> None:
     """Switch the start at login on or off. A daemon that is running continues.
 
@@ -55,13 +48,13 @@ def set_on(
     """
     program = command or install.own_command()
     if on and not has_systemd():
-        write_entry(_entry(environ), daemon_entry(program))
+        install.replace_own(_entry(environ), MARK, daemon_entry(program))
         return
     unit = install.installed_text(environ)  # refuses a unit of another program
     if on and unit is None:
         install.install(["--wait"], program, environ, install.systemd_version())
     (_enable if on else remove_file)(_link(environ))
-    remove_entry(_entry(environ))  # so that the daemon does not start twice
+    install.replace_own(_entry(environ), MARK, None)  # so that the daemon does not start twice
     if has_systemd():
         _reload(environ)
 

@@ -7,8 +7,8 @@ from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 
-from audioflinger_hook.service.install import home_folder
-from device.atomic_file import remove_file, write_private
+from audioflinger_hook.service.install import home_folder, replace_own
+from device.atomic_file import write_private
 from device.errors import UsageError
 
 NAME = "haptic-cushion"  # name of the icon and, with .desktop, of the menu's entry
@@ -75,15 +75,15 @@ def install_page_entry(program: Sequence[str], environ: Mapping[str, str] = os.e
     is full or failed.
     """
     entry, icon = _installed(environ)
-    write_entry(entry, page_entry(program))
+    replace_own(entry, MARK, page_entry(program))
     write_private(icon, icon_bytes())
     return entry
 
 
 def remove_page_entry(environ: Mapping[str, str] = os.environ) -> None:
-    """Remove the menu's entry and its icon. UsageError: as for `remove_entry`."""
+    """Remove the menu's entry and its icon. UsageError: another program wrote the entry."""
     entry, icon = _installed(environ)
-    remove_entry(entry)
+    replace_own(entry, MARK, None)
     with suppress(OSError):
         icon.unlink()
 
@@ -97,33 +97,3 @@ def _installed(environ: Mapping[str, str]) -> tuple[Path, Path]:
 def icon_bytes() -> bytes:
     """Return the icon as SVG."""
     return files("audioflinger_hook.monitor").joinpath("static", "icon.svg").read_bytes()
-
-
-def is_ours(path: Path) -> bool:
-    """Return whether an entry of this program is at `path`.
-
-    UsageError: another file is there, or the entry cannot be read.
-    """
-    try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except (FileNotFoundError, NotADirectoryError):
-        return False
-    except OSError as error:
-        raise UsageError(f"cannot read {path}: {error.strerror}; move it away first") from error
-    if not text.startswith(MARK):
-        raise UsageError(
-            f"{path} was not written by `cushion` and is left alone; move it away first"
-        )
-    return True
-
-
-def write_entry(path: Path, text: str) -> None:
-    """Write an entry. Errors: as for `install_page_entry`."""
-    is_ours(path)
-    write_private(path, text.encode())
-
-
-def remove_entry(path: Path) -> None:
-    """Remove an entry, if there is one. UsageError: another program wrote it, or removal failed."""
-    if is_ours(path):
-        remove_file(path)

@@ -7,7 +7,6 @@ import string
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -136,7 +135,7 @@ UDEV_COMMAND = (  # shell command, which requires root
 )
 
 
-UNIT_BYTES_MAX = 1 << 16
+OWN_BYTES_MAX = 1 << 16
 SYSTEMCTL_S = 5.0
 RELOAD = "systemctl --user daemon-reload"
 START = ("systemctl --user enable cushion.service", "systemctl --user restart cushion.service")
@@ -205,45 +204,54 @@ def install(
 
 def installed_text(environ: Mapping[str, str] = os.environ) -> str | None:
     """Return the unit's text, or None. UsageError: no home folder, or a unit of another program."""
-    path, text = unit_path(environ), ""
-    with suppress(OSError, UnicodeDecodeError):
-        try:
-            found = path.lstat()
-        except (FileNotFoundError, NotADirectoryError):  # `install` reports NotADirectoryError
-            return None
-        if stat.S_ISREG(found.st_mode) and found.st_size <= UNIT_BYTES_MAX:
-            text = path.read_text(encoding="utf-8")
-    if not text.startswith(MARK):
-        raise UsageError(
-            f"{path} was not written by `cushion install-service` and is left alone; "
-            "move it away first"
-        )
-    return text
+    return own_text(unit_path(environ), MARK)
 
 
 def restore(text: str | None, environ: Mapping[str, str] = os.environ) -> Installed:
     """Write `text` as the unit, or remove the unit if `text` is None. Errors: see `install`."""
-    if text is None:
-        return remove(environ)
     path = unit_path(environ)
-    changed = installed_text(environ) != text
-    if changed:
-        write_private(path, text.encode())
+    changed = replace_own(path, MARK, text)
+    if text is None:
+        return Installed(path, changed, FORGET if changed else ())
     return Installed(path, changed, RESTART)
+
+
+def own_text(path: Path, mark: str) -> str | None:
+    """Return the text of a file of this program, which begins with `mark`; None without a file.
+
+    UsageError: another program wrote the file, or it cannot be read.
+    """
+    try:
+        found = path.lstat()
+        is_usual = stat.S_ISREG(found.st_mode) and found.st_size <= OWN_BYTES_MAX
+        text = path.read_text(encoding="utf-8", errors="replace") if is_usual else ""
+    except (FileNotFoundError, NotADirectoryError):  # `replace_own` reports NotADirectoryError
+        return None
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror}; move it away first") from error
+    if not text.startswith(mark):
+        raise UsageError(
+            f"{path} was not written by `cushion` and is left alone; move it away first"
+        )
+    return text
+
+
+def replace_own(path: Path, mark: str, text: str | None) -> bool:
+    """Write a file of this program, or remove it if `text` is None; return whether it changed.
+
+    UsageError: see `own_text`, or a folder is not writable. WriteError: the disk is full or failed.
+    """
+    before = own_text(path, mark)
+    if text is None:
+        remove_file(path)
+    elif text != before:
+        write_private(path, text.encode())
+    return text != before
 
 
 def state_folder(environ: Mapping[str, str] = os.environ) -> Path:
     """Return the state folder. UsageError: neither XDG_STATE_HOME nor HOME is an absolute path."""
     return home_folder(environ, "XDG_STATE_HOME", ".local/state") / "cushion"
-
-
-def remove(environ: Mapping[str, str] = os.environ) -> Installed:
-    """Remove the unit. UsageError: another program wrote the unit, or removal failed."""
-    path = unit_path(environ)
-    if installed_text(environ) is None:
-        return Installed(path, False, ())
-    remove_file(path)
-    return Installed(path, True, FORGET)
 
 
 def home_folder(environ: Mapping[str, str], variable: str, otherwise: str) -> Path:

@@ -61,25 +61,13 @@ def _answer(
 ) -> bytes:
     end_s = clock() + timeout_s
     try:
-        with RuntimeFolder(environ, create=False) as folder:
-            return _exchange(folder, request, end_s, clock)
-    except TimeoutError as error:
-        late = f"the daemon has not answered within {timeout_s:g} s; try again, or restart it"
-        raise InternalError(late) from error
-    except (NotFoundError, FileNotFoundError, ConnectionRefusedError) as error:
-        raise NotFoundError(NO_DAEMON) from error
-    except OSError as error:
-        raise InternalError(f"the daemon does not answer: {error.strerror}; try again") from error
-
-
-def _exchange(
-    folder: RuntimeFolder, request: Mapping[str, Any], end_s: float, clock: Callable[[], float]
-) -> bytes:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
-        # Use a blocking socket with timeouts of the operating system. A non-blocking `connect`
-        # would fail if the queue of the listening socket is full.
-        _set_timeout(client, socket.SO_SNDTIMEO, end_s - clock())
-        try:
+        with (
+            RuntimeFolder(environ, create=False) as folder,
+            socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client,
+        ):
+            # Use a blocking socket with timeouts of the operating system. A non-blocking `connect`
+            # would fail if the queue of the listening socket is full.
+            _set_timeout(client, socket.SO_SNDTIMEO, end_s - clock())
             client.connect(folder.address(NAME))
             owner = peer_uid(client)
             if owner != os.geteuid():
@@ -92,12 +80,17 @@ def _exchange(
                 answer += received
                 if not received or len(answer) > ANSWER_BYTES_MAX:
                     raise InternalError("the daemon's answer is cut off or too long; try again")
-        except BlockingIOError as error:
-            raise TimeoutError from error
-        except PermissionError as error:
-            refused = f"no permission to connect to {folder.path / NAME}"
-            raise UsageError(f"{refused}; run as the daemon's user") from error
-    return bytes(answer)
+            return bytes(answer)
+    except (TimeoutError, BlockingIOError) as error:
+        late = f"the daemon has not answered within {timeout_s:g} s; try again, or restart it"
+        raise InternalError(late) from error
+    except (NotFoundError, FileNotFoundError, ConnectionRefusedError) as error:
+        raise NotFoundError(NO_DAEMON) from error
+    except PermissionError as error:
+        refused = f"no permission to connect to {folder.path / NAME}"
+        raise UsageError(f"{refused}; run as the daemon's user") from error
+    except OSError as error:
+        raise InternalError(f"the daemon does not answer: {error.strerror}; try again") from error
 
 
 def _set_timeout(client: socket.socket, option: int, left_s: float) -> None:

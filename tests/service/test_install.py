@@ -18,7 +18,7 @@ from audioflinger_hook.service.install import (
     UDEV_RULE,
     install,
     own_command,
-    remove,
+    restore,
     systemd_version,
     unit_text,
 )
@@ -148,10 +148,10 @@ def test_the_unit_is_written_whole_where_systemd_looks_if_new_and_removed_alone(
     assert [path.name for path in done.path.parent.iterdir()] == ["cushion.service"]
     other = done.path.with_name("other.service")
     other.touch()
-    removed = remove(environ)
+    removed = restore(None, environ)
     assert (removed.path, removed.changed, removed.commands) == (done.path, True, FORGET)
     assert list(other.parent.iterdir()) == [other]
-    assert not remove(environ).changed
+    assert not restore(None, environ).changed
 
 
 def test_the_config_and_state_homes_are_respected_and_wrong_ones_are_not(tmp_path):
@@ -178,7 +178,7 @@ def test_a_unit_that_somebody_else_wrote_stays(environ, tmp_path, kind):
         content = {"edited": b"[Service]\n", "binary": b"\xff", "huge": MARK.encode() * 10_000}
         path.write_bytes(content[kind])
     before = path.lstat()
-    for change in (lambda: install([], ["/opt/cushion"], environ), lambda: remove(environ)):
+    for change in (lambda: install([], ["/opt/cushion"], environ), lambda: restore(None, environ)):
         with pytest.raises(UsageError, match="is left alone; move it away first"):
             change()
     assert os.path.samestat(path.lstat(), before)
