@@ -21,7 +21,7 @@ from device.server.identity import identity_of
 from device.stream import filter_stderr
 from device.usb import Found, UsbAudioDevice, find_devices, identify
 from device.usb.descriptors import parse_whole, playback_formats
-from device.usb.mapping import hw_names, sinks_of
+from device.usb.mapping import device_of_sink, hw_names
 
 
 def run(options: argparse.Namespace) -> int:
@@ -64,7 +64,8 @@ def _usb(device: UsbAudioDevice, found: Found, snapshot: ServerSnapshot | None) 
     except CushionError as error:
         trouble = str(error)
     units = playback_formats(configuration) if configuration else ()
-    sinks = sinks_of(device, snapshot.sinks, found.devices) if snapshot else ()
+    sinks = snapshot.sinks if snapshot else ()
+    sinks = tuple(one for one in sinks if device_of_sink(one, found.devices) == device)
     return {
         "device": str(identify(device, found.devices)),
         "manufacturer": device.manufacturer,

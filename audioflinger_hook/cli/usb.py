@@ -231,7 +231,7 @@ def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
         if not card.playback:
             continue
         try:
-            with CardMixer(card.number) as mixer:
+            with closing(CardMixer(card.number)) as mixer:
                 for volume in mixer.volumes:
                     shown: dict[str, Any] = {"name": volume.name}
                     levels, decibels = mixer.volume_db(volume), volume.decibels

@@ -30,7 +30,6 @@ class AudioInterface:
 
     number: int
     subclass: int  # 1 control, 2 streaming, 3 MIDI
-    protocol: int  # 0x00 for version 1 of the audio class, 0x20 for 2, 0x30 for 3
     driver: str  # the attached driver, such as "snd-usb-audio", "" for none
 
 
@@ -195,7 +194,6 @@ def _interface(folder: Path) -> AudioInterface | None:
         return AudioInterface(
             number=int((folder / "bInterfaceNumber").read_bytes(), 16),
             subclass=int((folder / "bInterfaceSubClass").read_bytes(), 16),
-            protocol=int((folder / "bInterfaceProtocol").read_bytes(), 16),
             driver=driver.readlink().name if driver.is_symlink() else "",
         )
     except (OSError, ValueError):

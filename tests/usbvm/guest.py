@@ -88,7 +88,7 @@ def mixed(hw: str) -> list[dict[str, Any]]:
     """What our own mixer reads and sets, beside what ALSA's says of the same."""
     card = hw.removeprefix("hw:").partition(",")[0]
     told = []
-    with CardMixer(int(card)) as mixer:
+    with closing(CardMixer(int(card))) as mixer:
         (switch,) = mixer.switches
         mutes = []
         for muted in (True, False):

@@ -14,7 +14,7 @@ import usb.backend
 import usb.core
 from usb.backend import libusb1
 
-from device.usb import NoLibusbError, NoUsbDeviceError, UsbAccessError
+from device.errors import NoLibusbError, NoUsbDeviceError, UsbAccessError
 from device.usb.control import libusb, open_device, read_descriptors
 from device.usb.sysfs import UsbAudioDevice
 from tests.support.usb_tree import UsbTree

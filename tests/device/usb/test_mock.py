@@ -157,13 +157,14 @@ def test_the_text_of_lsusb_gives_the_bytes_that_it_was_made_from(shape):
 
 SETS = """
 import json, sys
+from contextlib import closing
 from device.alsa import set_card_volume
 from device.alsa.mixer import CardMixer
 from device.errors import CushionError
 
 def told(ask):
     try:
-        with CardMixer(1) as mixer:
+        with closing(CardMixer(1)) as mixer:
             return ask(mixer)
     except CushionError as error:
         return [error.exit_code, str(error)]
