@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import PurePosixPath
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 from urllib.parse import urlsplit
 
 from audioflinger_hook.catalogue import addresses
@@ -90,9 +90,6 @@ class _Channels(Description):
 class Item(Described):
     """One sound of a catalogue. line: its line in the manifest or number in a folder, from 1."""
 
-    NAMES: ClassVar[tuple[str, ...]]
-    NUMBERS: ClassVar[tuple[str, ...]] = ("start_s", "duration_s", "track")
-
     audio: Annotated[str, _Audio("the sound: path or URL")]
     id: Annotated[str, _Name("name of the result")]
     line: int
@@ -114,11 +111,11 @@ class Item(Described):
 
     def row(self) -> dict[str, Any]:
         """Return this item as the keys and values of a manifest's line."""
-        row = {name: getattr(self, name) for name in self.NAMES}
+        row = {name: getattr(self, name) for name in COLUMNS}
         return {name: value for name, value in row.items() if value not in (None, 0.0)}
 
 
-Item.NAMES = tuple(field.name for field in fields(Item) if field.name != "line")
+COLUMNS = tuple(field.name for field in fields(Item) if field.name != "line")
 
 
 def default_id(audio: str, start_s: object, root: str = "") -> str:
@@ -156,7 +153,7 @@ def values_of(row: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
     mistakes = []
     for name, value in _from_lhotse(row).items():
         ours = ALIASES.get(name, name)
-        if ours in Item.NAMES:
+        if ours in COLUMNS:
             if ours not in values:
                 values[ours] = value
             elif values[ours] != value:
@@ -173,7 +170,7 @@ def cell_value(name: str, cell: str) -> Any:
     try:
         if ours == "track":
             return int(cell)
-        if ours in Item.NUMBERS:
+        if ours in ("start_s", "duration_s"):
             return float(cell)
         if ours == "channels" and cell not in ("mono", "each"):
             return [int(one) for one in cell.split()]

@@ -8,7 +8,7 @@ import json
 import os
 import tempfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -137,7 +137,7 @@ class Manifest:
     def _kind(self) -> str:
         """Return the kind of manifest: "folder", "glob", "one" (sound), "csv" or "lines" (JSON)."""
         path = self.address
-        ending = listing.ending_of(path.removesuffix(".gz"))
+        unpacked = path.removesuffix(".gz")
         if self._remote:
             filesystem, inside = self._remote
             try:
@@ -156,10 +156,10 @@ class Manifest:
             return "glob"
         if not there:
             raise UsageError(f"{self._name} does not exist; give a manifest, a folder or a glob")
-        if ending in listing.SOUNDS:
+        if listing.is_sound(unpacked):
             self._root, self.is_listing = f"{path.rpartition('/')[0]}/", True
             return "one"
-        return "csv" if ending == ".csv" else "lines"
+        return "csv" if Path(unpacked).suffix.lower() == ".csv" else "lines"
 
     def _rows(self, mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
         if self.is_listing:
@@ -237,15 +237,16 @@ class Manifest:
             yield self.address
         elif self._remote:
             filesystem, inside = self._remote
-            pattern = self._sources == "glob"
-            names = filesystem.glob(inside) if pattern else filesystem.find(inside)
+            is_glob = self._sources == "glob"
+            names = filesystem.glob(inside) if is_glob else filesystem.find(inside)
             for name in sorted(names):
                 audio = str(filesystem.unstrip_protocol(name))
-                if (pattern or listing.is_sound(name)) and not audio.startswith(f"{self.out}/"):
+                if (is_glob or listing.is_sound(name)) and not audio.startswith(f"{self.out}/"):
                     yield audio
         elif self._sources == "glob":
             paths = listing.walk(self._root.rstrip("/"), self.out)
-            yield from (path for path in paths if listing.matches(path, self.address))
+            pattern = self.address.split("/")
+            yield from (path for path in paths if listing.matches(path.split("/"), pattern))
         else:
             yield from filter(listing.is_sound, listing.walk(self.address, self.out))
 
@@ -262,6 +263,4 @@ class Manifest:
         mistakes.count += max(0, len(again) - SHOWN_MAX)
 
 
-@lru_cache(maxsize=1024)
-def _true_folder(folder: str) -> str:
-    return os.path.realpath(folder)
+_true_folder: Callable[[str], str] = lru_cache(maxsize=1024)(os.path.realpath)

@@ -22,11 +22,6 @@ DEATHS_MAX = 2  # an item fails after this many deaths of workers that ran only 
 Batch = list[Item]
 
 
-def shard_of(items: Iterable[Item], index: int, count: int) -> Iterator[Item]:
-    """Yield every `count`-th item, beginning with item number `index`, counted from 1."""
-    return islice(iter(items), index - 1, None, count)
-
-
 class Run:
     """Processes all items of a run. Iterate over `outcomes` once, from one thread.
 

@@ -19,9 +19,9 @@ from audioflinger_hook.catalogue.recipe import VERSION, Recipe
 from audioflinger_hook.catalogue.storage import (
     RECORD,
     Storage,
-    digest,
     identity_of,
     local_copy,
+    sha256_of,
     storage_of,
 )
 from audioflinger_hook.catalogue.timing import Timing, has_errno
@@ -129,7 +129,7 @@ def _do(recipe: Recipe, item: Item, timing: Timing) -> tuple[State, dict[str, An
         return "skipped", record
     with local_copy(item.audio) as path:
         if key is None:
-            key = recipe.key(item, {"sha256": _sha256_of(path)})
+            key = recipe.key(item, {"sha256": sha256_of(path)})
             if record := _right_record(storage, name, key):
                 return "skipped", record
         return "rendered", _render(recipe, item, storage, path, key, timing)
@@ -153,7 +153,7 @@ def _render(
         return {**found, **meter.measures()}
 
     try:
-        figures, made = storage.put(name, make)
+        figures, made, sha256 = storage.put(name, make)
     except CushionError as error:
         if is_url(item.audio) and str(path) in str(error):
             # The user knows the URL, not the temporary copy.
@@ -164,7 +164,7 @@ def _render(
         "version": VERSION,
         "audio": item.audio,
         "bytes": made.size,
-        "sha256": made.sha256,
+        "sha256": sha256,
         "stamp": made.stamp,
         "profile": settings.profile,
         **{name: _finite(value) for name, value in figures.items()},
@@ -214,19 +214,12 @@ def _key(recipe: Recipe, item: Item) -> str | None:
     if recipe.verify:
         if is_url(item.audio):
             return None
-        return recipe.key(item, {"sha256": _sha256_of(Path(item.audio))})
+        return recipe.key(item, {"sha256": sha256_of(Path(item.audio))})
     found = identity_of(item.audio)
     if found is None:
         FileTap(Path(item.audio)).close()  # raises an error that states the reason
         raise UsageError(f"{item.audio} cannot be read; check the path")
     return recipe.key(item, {"audio": item.audio, "size": found.size, "stamp": found.stamp})
-
-
-def _sha256_of(path: Path) -> str:
-    try:
-        return digest(path)
-    except OSError as error:
-        raise UsageError(f"{path} cannot be read ({error.strerror})") from error
 
 
 def _right_record(storage: Storage, name: str, key: str) -> dict[str, Any]:

@@ -29,11 +29,9 @@ FRAME, FRAMES, CHANNEL, SLOT, START_HZ, END_HZ, START_LEVEL, END_LEVEL, START_PH
 
 @dataclass(frozen=True)
 class Onset:
-    """A start or strong rise of vibration. before, after: amplitudes; full scale is 1."""
+    """A start or strong rise of vibration."""
 
     time_s: float
-    before: float
-    after: float
     hz: float
 
 
@@ -218,7 +216,7 @@ class CurveReader:
             last_s = found[-1].time_s if found else -np.inf
             strong = rise >= max(RISE_FROM * after, AUDIBLE * loudest)
             if strong and time_s > 0.0 and time_s - last_s >= ONSETS_APART_S:
-                found.append(Onset(time_s, before, after, hz))
+                found.append(Onset(time_s, hz))
         return tuple(found)
 
 

@@ -176,7 +176,9 @@ def _add_direct(
     if mode is not None:
         values |= {"actuator.resonance_hz": mode.f0_hz, "actuator.q_mechanical": mode.q}
     if impedance is not None:
-        rig = _without_eddy(rig)
+        plain = replace(rig.actuator, inductance_eddy_h=0.0, resistance_eddy_ohm=0.0)
+        sources = tuple(s for s in rig.sources if not s.parameter.endswith(("eddy_h", "eddy_ohm")))
+        rig = replace(rig, actuator=plain, sources=sources)
         if weighed is not None and not found.on_seat:
             values |= by_known_mass(impedance, weighed)
         elif mode is not None and scaled and not found.on_seat:
@@ -204,12 +206,6 @@ def _add_by_coil(
     words = f"with the assumed {', '.join(assumed)} it gives the mode that was identified, {shown}"
     rig = add_values(rig, values, f"{words}: {_describe(found)}", assumed=True)
     return replace(found, rig=rig, matched=True)
-
-
-def _without_eddy(rig: Rig) -> Rig:
-    plain = replace(rig.actuator, inductance_eddy_h=0.0, resistance_eddy_ohm=0.0)
-    sources = tuple(s for s in rig.sources if not s.parameter.endswith(("eddy_h", "eddy_ohm")))
-    return replace(rig, actuator=plain, sources=sources)
 
 
 def _add_drive(found: Calibration) -> Calibration:

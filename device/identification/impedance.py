@@ -52,13 +52,12 @@ _ADVICE = (
 
 @dataclass(frozen=True)
 class Impedance:
-    """The actuator's electrical parameters; on a seat, f0 and Bl^2 / m include the seat."""
+    """The actuator's electrical parameters; on a seat, f0 includes the seat."""
 
     resistance_ohm: Estimate
     f0_hz: Estimate  # with the coil open
     q_mechanical: Estimate
     q_electrical: Estimate  # of the coil itself, without a source impedance
-    motional_ohm_rad_s: Estimate  # Bl^2 / m
     on_seat: bool  # as in `Mode`
     law: CoilLaw
     fit: Fit
@@ -126,8 +125,7 @@ def identify_impedance(
     values["f0_hz"] = values["f0_hz"].extend_down(F0_BY_LEVEL * square)
     for name in ("q_mechanical", "q_electrical"):
         values[name] = values[name].extend_down(Q_BY_LEVEL * square)
-    motional = found.estimate(MOTIONAL, math.tau)
-    return Impedance(**values, motional_ohm_rad_s=motional, on_seat=on_seat, law=law, fit=found)
+    return Impedance(**values, on_seat=on_seat, law=law, fit=found)
 
 
 # Relative standard deviations of f0 and Qms from the values in `mode`, apart from noise.

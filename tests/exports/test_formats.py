@@ -52,7 +52,7 @@ def curves(draw):
     for share in sorted(draw(st.lists(st.floats(0.0, 1.0), max_size=12))):
         time_s = share * amplitude.size / rate
         if time_s > 0.0 and (not found or time_s - found[-1].time_s >= 0.06):
-            found.append(Onset(time_s, 0.0, 1.0, hz[0]))
+            found.append(Onset(time_s, hz[0]))
     return VibrationCurve(rate, 0.0, amplitude, at_hz, tuple(found))
 
 

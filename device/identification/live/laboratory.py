@@ -168,14 +168,10 @@ class LiveLaboratory:
         self._transport, self._inputs = transport, inputs
         self._output_channel, self._amplifier = output_channel, amplifier
         self._drifts: list[Drift] = []
+        self.drift: Drift | None = None  # between the two clocks, in the last sweep
         self.delay_s = 0.0  # from the playing of a frame to its recording, in the last sweep
         self.current_turned = False  # whether the current was negated: a coil absorbs power
         self.repeated = 0  # number of sweeps that were repeated after frames were lost
-
-    @property
-    def drift(self) -> Drift | None:
-        """The drift between the two clocks in the last sweep."""
-        return self._drifts[-1] if self._drifts else None
 
     def measure(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
         """Return one recording for each pair (reference, response), scaled by `Inputs.scale`.
@@ -282,6 +278,7 @@ class LiveLaboratory:
                     "sweep again"
                 )
         self._drifts.append(drift)
+        self.drift = drift
 
 
 def _check_hum(silence: FloatArray, loud: float, samplerate: float, name: str) -> float:
