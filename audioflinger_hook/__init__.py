@@ -5,8 +5,6 @@
 `render_file` renders a whole file. `HapticTransform` processes arrays block by block.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"

@@ -1,7 +1,5 @@
 """Paths and URLs of sounds and results, and the removal of credentials from messages."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Runs batches of items on a Dask cluster. Its workers may join and leave during a run."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from concurrent.futures import Future

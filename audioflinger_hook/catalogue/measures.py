@@ -1,7 +1,5 @@
 """Measures a vibration: the predicted exposure to it, and its peaks over time."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

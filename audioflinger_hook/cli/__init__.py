@@ -1,7 +1,5 @@
 """The `cushion` command: one module for each subcommand."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import io

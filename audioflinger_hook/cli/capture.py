@@ -1,7 +1,5 @@
 """`cushion capture`: records the audio buffers of a tap (a source of sound) unchanged."""
 
-from __future__ import annotations
-
 import argparse
 import time
 from contextlib import closing

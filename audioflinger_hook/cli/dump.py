@@ -1,7 +1,5 @@
 """`cushion dump`: prints the mixer's tracks and effects, like `dumpsys media.audio_flinger`."""
 
-from __future__ import annotations
-
 import argparse
 import time
 from contextlib import closing

@@ -1,7 +1,5 @@
 """`cushion plugin`: installs the effect as a plugin of PipeWire and other audio software."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

@@ -1,7 +1,5 @@
 """`cushion replay`: processes the recorded buffers of a capture, and writes the vibration."""
 
-from __future__ import annotations
-
 import argparse
 import time
 from pathlib import Path

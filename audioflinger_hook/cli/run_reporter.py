@@ -1,7 +1,5 @@
 """Messages of a running daemon: lines on stderr for users, notifications for systemd."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

@@ -6,8 +6,6 @@
 The interface is core.h in C and `compiled_core` in Python. The transform is in transform/native.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 FILE_NAME = "haptic_cushion.so"

@@ -20,8 +20,6 @@
 Numbers are little-endian. Values are aligned to 8 bytes. Records are sorted by name.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 

@@ -1,7 +1,5 @@
 """Python interface of the compiled core."""
 
-from __future__ import annotations
-
 import ctypes
 from ctypes import POINTER, c_char_p, c_int, c_size_t, c_uint64
 from functools import lru_cache

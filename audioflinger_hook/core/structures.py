@@ -1,7 +1,5 @@
 """The structures in core.h, for ctypes."""
 
-from __future__ import annotations
-
 import ctypes
 from ctypes import c_double, c_int, c_ssize_t, c_uint32, c_uint64
 

@@ -1,7 +1,5 @@
 """Passes buffers of one tap to the Python engine, immediately or when the output thread asks."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Sequence

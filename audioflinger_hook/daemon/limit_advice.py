@@ -1,7 +1,5 @@
 """Advice for the user if many samples of the vibration are limited at full scale."""
 
-from __future__ import annotations
-
 from collections import deque
 
 from audioflinger_hook.config.settings import Settings

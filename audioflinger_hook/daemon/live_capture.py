@@ -1,7 +1,5 @@
 """Records the buffers of a live tap, for `cushion capture`."""
 
-from __future__ import annotations
-
 from audioflinger_hook.capture import CaptureRecorder
 from audioflinger_hook.daemon.inputs.sink import SinkInput
 from audioflinger_hook.daemon.server_link import ServerLink

@@ -1,7 +1,5 @@
 """One thread that plays and writes files in real time."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from typing import Protocol

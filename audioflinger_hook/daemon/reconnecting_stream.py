@@ -1,7 +1,5 @@
 """A stream to a sound server or sound card. The stream is reopened after a failure."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Generic, TypeVar
 

@@ -1,7 +1,5 @@
 """Effect chains, one per session. They run in the same order as in Android's AudioFlinger."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

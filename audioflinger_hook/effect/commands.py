@@ -1,7 +1,5 @@
 """Checks of a command's code and data before an engine receives the command."""
 
-from __future__ import annotations
-
 from audioflinger_hook.effect.interface import (
     EINVAL,
     ENOSYS,

@@ -1,7 +1,5 @@
 """The haptic effect: writes vibration, computed from the sound, to the haptic channels."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import numpy as np

@@ -6,8 +6,6 @@ intensity curve, so the intensity written for a transient is divided by this cur
 the sharpness curve to an event's sharpness. Intensity is the square root of amplitude.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

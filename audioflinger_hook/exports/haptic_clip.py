@@ -4,8 +4,6 @@ An envelope has at least two points, in order of time. An emphasis is a pulse th
 the envelope. The amplitude of an emphasis is at least that of the envelope at the same time.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ integer in Hz, because some players compute the phase of a varying frequency inc
 phase has drifted by more than 0.03 cycles, a new effect begins. Positions are in ms.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -5,8 +5,6 @@ comment, and gives each stream a random serial number. Therefore this module rew
 libsndfile writes (RFC 3533; Vorbis I specification, section 5).
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections import deque

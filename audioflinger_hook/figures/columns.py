@@ -1,7 +1,5 @@
 """Reduction of one-dimensional signals (full scale 1) to a few values per column of a picture."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft

@@ -1,7 +1,5 @@
 """Colours of all figures, and PNG files that contain only these colours."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Functions that draw parts of the report into a matplotlib Axes. Sizes are in points (pt)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The report: a picture with five panels on one time axis, as in the paper's Figures 7 and 8."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """State of the mixer as text, similar to `dumpsys media.audio_flinger`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from statistics import mean, median_high
 

@@ -1,7 +1,5 @@
 """Channel weights of the sources of vibration, and gains between two channel layouts."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 

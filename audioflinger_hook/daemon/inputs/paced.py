@@ -1,7 +1,5 @@
 """An input that plays a file, a capture or a scene in real time."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

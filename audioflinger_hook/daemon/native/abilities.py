@@ -1,7 +1,5 @@
 """Checks whether the native engine can run a config on this machine."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

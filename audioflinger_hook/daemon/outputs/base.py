@@ -1,7 +1,5 @@
 """Interface of all outputs, and the base class of outputs with a PortAudio stream."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress

@@ -1,7 +1,5 @@
 """Plays vibration on one sink of the sound server."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Sequence
 from contextlib import suppress
