@@ -262,7 +262,7 @@ class Described:
 
     @classmethod
     def contradictions(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
-        """Return an error for each value that contradicts another. values: each valid by itself."""
+        """Return an error for each value that contradicts another. values: each valid alone."""
         return {}
 
     @classmethod

@@ -45,7 +45,7 @@ OF_PROFILE = TransformParameters()  # this object stands for the parameters of t
 class Settings(Described):
     """Settings of the transform, the effects and the rig.
 
-    With actuators, `channels` is "mono", and each actuator's `source` selects what it plays.
+    With actuators, `channels` is "mono", and each actuator's `source` selects its signal.
 
     parameters: parameters of the transform; by default those of the profile.
     said: names of parameters that the user set; another profile does not change their values.
@@ -120,7 +120,7 @@ class Settings(Described):
         """Return why "each" is not allowed as `channels` with actuators; otherwise {}."""
         if not values.get("actuators") or values.get("channels") != "each":
             return {}
-        allowed = "mono: the source of every [[actuator]] says what it plays"
+        allowed = "mono: each [[actuator]] selects its signal with source"
         return {"channels": Refusal("cannot be used with actuators", allowed)}
 
     def choosing(self, **given: Any) -> "Settings":

@@ -194,7 +194,7 @@ def test_an_interrupted_replay_leaves_nothing(tmp_path):
     written(tmp_path / "cap", *[(part, RATE, False) for part in np.split(frames, 100)])
     before = listing(tmp_path)
     with start("replay", tmp_path / "cap", tmp_path / "out.wav", "--speed", "1") as process:
-        reads = tmp_path / "cap"  # a segment of it, and writes elsewhere
+        reads = tmp_path / "cap"  # until it has a segment open there, and a file that it writes
         until(
             lambda: len(held_back(process, tmp_path)) > len(held_back(process, reads)) > 0, process
         )
