@@ -16,6 +16,7 @@ from device.identification.output_error import (
     check_fit,
     fit,
     fit_with_extras,
+    relative_width,
     require,
 )
 from device.identification.recording import ComplexArray, IdentificationError, Recording
@@ -62,7 +63,7 @@ def identify_mode(recording: Recording, x_max_m: float, *, on_seat: bool | None 
             simple, without = _identify(recording, x_max_m, False)
             change = float(np.sqrt(np.mean(np.abs(without / shown - 1.0) ** 2)))
             if change < HARDENING * mode.level_of_x_max**2:
-                return simple
+                return replace(simple, f0_hz=simple.f0_hz.join(mode.f0_hz))
     return mode
 
 
@@ -112,10 +113,19 @@ def _fit_mode(
             extras.append(high_pass_extra(recording))
         if on_seat is not False and (seat := seat_extra(simple.logs[1], level_known=level_known)):
             extras.append(seat)
-        best, chosen, score = fit_with_extras(candidate, factors, [simple.logs], extras)
+        best, chosen, score = fit_with_extras(
+            candidate, factors, [simple.logs], extras, _is_identified
+        )
         found.append((not best.converged, score, candidate, best, chosen))
     _, _, candidate, best, chosen = min(found, key=lambda one: one[:2])
     return candidate, best, chosen, candidate is not recording
+
+
+def _is_identified(found: Fit) -> bool:
+    """Return whether the intervals of sensitivity, f0 and Q are narrow enough."""
+    widest = (WIDEST_SENSITIVITY, WIDEST_F0, WIDEST_Q)
+    widths = (relative_width(found.estimate({index: 1.0})) for index in range(3))
+    return all(width <= most for width, most in zip(widths, widest, strict=True))
 
 
 def _eddy() -> Extra:

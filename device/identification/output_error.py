@@ -53,6 +53,11 @@ class Estimate:
         """Return the estimate with its interval extended downwards by a share of the value."""
         return Estimate(self.value, self.low - share * self.value, self.high)
 
+    def join(self, other: "Estimate") -> "Estimate":
+        """Return the middle of both intervals, if it is unknown which of the estimates is right."""
+        low, high = min(self.low, other.low), max(self.high, other.high)
+        return Estimate(0.5 * (low + high), low, high)
+
     def widen(self, share: float) -> "Estimate":
         """Return the estimate with an interval widened by an independent relative error `share`."""
         more = share * self.value
@@ -234,8 +239,13 @@ def fit_with_extras(
     factors: Sequence[Factor],
     starts: Sequence[FloatArray],
     extras: Sequence[Extra],
+    is_identified: Callable[[Fit], bool] = lambda _: True,
 ) -> tuple[Fit, tuple[Extra, ...], float]:
-    """Return the fit with the least cost plus penalties, its extras, and this sum."""
+    """Return the fit with the least cost plus penalties, its extras, and this sum.
+
+    is_identified: whether a fit determines the parameters that are sought. An extra that makes them
+    unknown is left out: its poles and zeros cancel each other.
+    """
     found = fit(recording, product(*factors), starts)
     chosen: tuple[Extra, ...] = ()
     low, high = unlimited(len(found.logs))
@@ -249,7 +259,7 @@ def fit_with_extras(
             more = [np.concatenate([found.logs, start]) for start in extra.starts]
             richer = fit(recording, model, more, ends)
             price = extra.doubt * penalty(extra.factor.parameters, richer.bins)
-            if richer.converged:
+            if richer.converged and (is_identified(richer) or not is_identified(found)):
                 tried.append((richer.cost + price, price, richer, extra, ends))
         if not tried:
             break
@@ -261,9 +271,14 @@ def fit_with_extras(
     return found, chosen, found.cost + paid
 
 
+def relative_width(estimate: Estimate) -> float:
+    """Return half of an estimate's interval over its value; infinite if it has no upper end."""
+    return estimate.relative if math.isfinite(estimate.high) else math.inf
+
+
 def require(name: str, estimate: Estimate, relative: float, advice: str) -> None:
     """Raise IdentificationError if an estimate's interval is wider than ±`relative`."""
-    width = estimate.relative if math.isfinite(estimate.high) else math.inf
+    width = relative_width(estimate)
     if not width <= relative:
         raise IdentificationError(
             f"{name} is not identified: its interval of 95 % is ±{100 * width:.3g} %, at most "

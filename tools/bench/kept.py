@@ -1,7 +1,8 @@
-"""Updates the sections "Live bursts" and "Live latency" in docs/benchmarks.md, .json and .csv.
+"""Updates the sections of kept records in docs/benchmarks.md, .json and .csv.
 
 Usage: python -m tools.bench.kept. This command does not measure, but reads files with earlier
-    results. The footnotes of both sections name the programs that write these files.
+    results: "Live bursts", "Live latency" and three soaks. Their footnotes name the programs that
+    write these files.
 """
 
 from __future__ import annotations
@@ -23,11 +24,17 @@ from tools.bench.workbench import Workbench
 from tools.records import PROJECT_ROOT
 
 STEM = PROJECT_ROOT / "docs/benchmarks"
-SECTIONS = (kept_records.live_bursts, kept_records.live_latency)
+SECTIONS = (
+    kept_records.live_bursts,
+    kept_records.live_latency,
+    kept_records.transform_soak,
+    kept_records.rig_soak,
+    kept_records.identification_soak,
+)
 
 
 def main() -> int:
-    """Replace both sections; return exit code 0, or 2 if results are missing."""
+    """Replace these sections; return exit code 0, or 2 if results are missing."""
     nothing = cast(Workbench, None)  # these sections measure nothing themselves
     for measure in SECTIONS:
         section = measure(nothing)
@@ -70,7 +77,7 @@ def replace_section(stem: Path, section: Section) -> None:
     )
     assert lines[0] == list(COLUMNS)
     for suffix, content in (
-        (".md", page[:start] + shown + page[end:]),
+        (".md", (page[:start] + shown + page[end:]).rstrip() + "\n"),
         (".json", json.dumps(document, indent=1) + "\n"),
         (".csv", text.getvalue()),
     ):
