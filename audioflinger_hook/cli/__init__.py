@@ -14,6 +14,7 @@ from typing import TextIO
 
 from audioflinger_hook.cli.parser import NEXT, build_parser
 from device.errors import CushionError, InternalError, WriteError
+from device.interruption import repeat_lost_interruptions
 
 EXIT_INTERRUPTED = 130
 
@@ -100,6 +101,7 @@ def _report(error: CushionError, debug: bool) -> int:
 def _end_softly() -> None:
     """Make SIGTERM, and SIGHUP unless ignored, raise KeyboardInterrupt, so all files are closed."""
     signal.signal(signal.SIGTERM, _interrupt)
+    repeat_lost_interruptions()
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # `nohup` ignores SIGHUP
         signal.signal(signal.SIGHUP, _interrupt)
 

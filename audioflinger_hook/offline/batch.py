@@ -18,6 +18,7 @@ from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.render import RenderReport, render_file
 from audioflinger_hook.sources.tap import named
 from device.errors import CushionError, InternalError, UsageError
+from device.interruption import repeat_lost_interruptions
 
 T = TypeVar("T")
 
@@ -25,6 +26,7 @@ WORKERS_MAX = 256
 DIED = "for lack of memory or by a fault of a decoder; look at the file and the machine's log"
 
 _shares: MutableSequence[float] = []  # in a worker process: `LocalWorkers.shares`
+_is_ended = False  # in a worker process: SIGTERM came
 
 
 def usable_cores() -> int:
@@ -121,6 +123,7 @@ def _begin_worker(shares: MutableSequence[float]) -> None:
     _shares = shares
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    repeat_lost_interruptions()
 
     def end_with_parent() -> None:
         if parent := multiprocessing.parent_process():
@@ -131,6 +134,8 @@ def _begin_worker(shares: MutableSequence[float]) -> None:
 
 
 def _interrupt_once(_signal: int, _frame: FrameType | None) -> None:
+    global _is_ended
+    _is_ended = True
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     raise KeyboardInterrupt
 
@@ -140,11 +145,14 @@ def _unless_ended(work: Callable[..., T], *arguments: Any) -> T:
     try:
         signal.signal(signal.SIGTERM, _interrupt_once)
         try:
-            return work(*arguments)
+            result = work(*arguments)
         finally:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        if not _is_ended:  # a destructor may have lost the interruption
+            return result
     except KeyboardInterrupt:
-        os._exit(1)
+        pass
+    os._exit(1)
 
 
 ReportShare = Callable[[float], None]  # argument: the finished part of the work, 0 to 1

@@ -74,8 +74,7 @@ def small(tmp_path_factory):
     writer = CaptureWriter(folder, streams=STREAMS)
     for number in range(len(SMALL)):
         deliver(writer, number)
-    killed = folder.parent / "killed"
-    shutil.copytree(folder, killed)
+    killed = Path(shutil.copytree(folder, tmp_path_factory.mktemp("killed") / "c"))
     writer.close()
     return killed
 
