@@ -6,7 +6,6 @@
 #include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -31,22 +30,17 @@ struct DaemonCore {
 static Page *page_open(const char *path)
 {
     struct stat facts;
-    if (!path)
-        return NULL;
-    const int file = open(path, O_RDWR | O_CLOEXEC);
-    if (file < 0)
-        return NULL;
-    Page *page = NULL;
-    if (!fstat(file, &facts) && facts.st_size == sizeof(Page)) {
-        void *place = mmap(NULL, sizeof(Page), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
-        page = place == MAP_FAILED ? NULL : place;
-    }
+    const int file = path ? open(path, O_RDWR | O_CLOEXEC) : -1;
+    const int is_whole = file >= 0 && !fstat(file, &facts) && facts.st_size == sizeof(Page);
+    const int access = PROT_READ | PROT_WRITE;
+    Page *page = is_whole ? mmap(NULL, sizeof(Page), access, MAP_SHARED, file, 0) : MAP_FAILED;
     close(file);
-    if (page && (page->magic != PAGE_MAGIC || page->size != sizeof(Page))) {
-        munmap(page, sizeof(Page));
+    if (page == MAP_FAILED)
         return NULL;
-    }
-    return page;
+    if (page->magic == PAGE_MAGIC && page->size == sizeof(Page))
+        return page;
+    munmap(page, sizeof(Page));
+    return NULL;
 }
 
 /* Create the first core. With a page, write the host's sample rate and load the page's design; if it is
@@ -95,20 +89,13 @@ DaemonCore *daemon_core_open(unsigned long samplerate)
     return daemon;
 }
 
-static void core_free(NumberedCore *core)
-{
-    if (core)
-        core_unload(&core->loaded);
-    free(core);
-}
-
 void daemon_core_close(DaemonCore *daemon)
 {
     if (!daemon)
         return;
     design_loader_close(daemon->loader);
-    core_free(daemon->core);
-    core_free(daemon->following);
+    numbered_cores_free(daemon->core);
+    numbered_cores_free(daemon->following);
     if (daemon->page)
         munmap(daemon->page, sizeof(Page));
     free(daemon);
@@ -158,18 +145,6 @@ static float share_of_following(const DaemonCore *daemon, size_t frame)
     return (float)smooth_step(clip((heard_s - HEARS_S) / FADE_S, 0.0, 1.0));
 }
 
-/* Count the piece; after the cross-fade, replace the core by `following`. */
-static void replace_core(DaemonCore *daemon, size_t frames)
-{
-    daemon->heard += frames;
-    if ((double)daemon->heard < (HEARS_S + FADE_S) * daemon->samplerate)
-        return;
-    design_loader_return(daemon->loader, daemon->core);
-    daemon->core = daemon->following;
-    daemon->following = NULL;
-    __atomic_store_n(&daemon->page->playing, daemon->core->number, __ATOMIC_RELEASE);
-}
-
 static void process_piece(DaemonCore *daemon, float *const *inputs, float *const *outputs, size_t first,
                           size_t frames)
 {
@@ -179,9 +154,8 @@ static void process_piece(DaemonCore *daemon, float *const *inputs, float *const
     }
     const int changes = daemon->following != NULL;
     const Signals now = process_core(daemon, daemon->core, inputs, daemon->signals, first, frames);
-    Signals next = {NULL, 0};
-    if (changes)
-        next = process_core(daemon, daemon->following, inputs, daemon->next_signals, first, frames);
+    const Signals next = !changes ? (Signals){NULL, 0}
+        : process_core(daemon, daemon->following, inputs, daemon->next_signals, first, frames);
     for (size_t output = 0; output < DAEMON_OUTPUTS; output++)
         for (size_t frame = 0; outputs[output] && frame < frames; frame++) {
             float sample = signal_at(now, output, frame);
@@ -191,8 +165,13 @@ static void process_piece(DaemonCore *daemon, float *const *inputs, float *const
                                       : signal_at(next, output, frame);
             outputs[output][first + frame] = sample;
         }
-    if (changes)
-        replace_core(daemon, frames);
+    daemon->heard += frames;
+    if (changes && (double)daemon->heard >= (HEARS_S + FADE_S) * daemon->samplerate) {
+        design_loader_return(daemon->loader, daemon->core);
+        daemon->core = daemon->following;
+        daemon->following = NULL;
+        __atomic_store_n(&daemon->page->playing, daemon->core->number, __ATOMIC_RELEASE);
+    }
 }
 
 void daemon_core_process(DaemonCore *daemon, float *const inputs[DAEMON_INPUTS],

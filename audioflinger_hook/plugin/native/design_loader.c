@@ -40,7 +40,7 @@ const char *numbered_core_load(NumberedCore *core, const Page *page, unsigned lo
     return misfit;
 }
 
-static void free_cores(NumberedCore *core)
+void numbered_cores_free(NumberedCore *core)
 {
     while (core) {
         NumberedCore *next = core->next;
@@ -63,33 +63,20 @@ static void offer(DesignLoader *loader)
         free(core);
         return;
     }
-    free_cores(__atomic_exchange_n(&loader->offered, core, __ATOMIC_ACQ_REL));
+    numbered_cores_free(__atomic_exchange_n(&loader->offered, core, __ATOMIC_ACQ_REL));
 }
 
 static void *follow_changes(void *given)
 {
     DesignLoader *loader = given;
+    const struct sched_param normal = {0};
     char byte;
+    pthread_setschedparam(pthread_self(), SCHED_OTHER, &normal); /* not that of a real-time thread */
     while (read(loader->changes, &byte, 1) == 1 && !__atomic_load_n(&loader->ends, __ATOMIC_ACQUIRE)) {
-        free_cores(__atomic_exchange_n(&loader->returned, NULL, __ATOMIC_ACQ_REL));
+        numbered_cores_free(__atomic_exchange_n(&loader->returned, NULL, __ATOMIC_ACQ_REL));
         offer(loader);
     }
     return NULL;
-}
-
-/* Start the thread. It must not inherit the priority of a real-time thread. */
-static int start(DesignLoader *loader)
-{
-    const struct sched_param normal = {0};
-    pthread_attr_t attributes;
-    if (pthread_attr_init(&attributes))
-        return 0;
-    const int started = !pthread_attr_setinheritsched(&attributes, PTHREAD_EXPLICIT_SCHED) &&
-                        !pthread_attr_setschedpolicy(&attributes, SCHED_OTHER) &&
-                        !pthread_attr_setschedparam(&attributes, &normal) &&
-                        !pthread_create(&loader->thread, &attributes, follow_changes, loader);
-    pthread_attr_destroy(&attributes);
-    return started;
 }
 
 DesignLoader *design_loader_open(Page *page, unsigned long samplerate)
@@ -101,10 +88,9 @@ DesignLoader *design_loader_open(Page *page, unsigned long samplerate)
     loader->page = page;
     loader->samplerate = samplerate;
     loader->changes = open(path, O_RDWR | O_CLOEXEC);
-    if (loader->changes >= 0 && start(loader))
+    if (loader->changes >= 0 && !pthread_create(&loader->thread, NULL, follow_changes, loader))
         return loader;
-    if (loader->changes >= 0)
-        close(loader->changes);
+    close(loader->changes);
     free(loader);
     return NULL;
 }
@@ -117,16 +103,16 @@ void design_loader_close(DesignLoader *loader)
     if (write(loader->changes, "", 1) == 1)
         pthread_join(loader->thread, NULL);
     close(loader->changes);
-    free_cores(loader->offered);
-    free_cores(loader->returned);
+    numbered_cores_free(loader->offered);
+    numbered_cores_free(loader->returned);
     free(loader);
 }
 
 NumberedCore *design_loader_take(DesignLoader *loader)
 {
-    if (!__atomic_load_n(&loader->offered, __ATOMIC_RELAXED))
-        return NULL;
-    return __atomic_exchange_n(&loader->offered, NULL, __ATOMIC_ACQ_REL);
+    NumberedCore **offered = &loader->offered;
+    return __atomic_load_n(offered, __ATOMIC_RELAXED) ? __atomic_exchange_n(offered, NULL, __ATOMIC_ACQ_REL)
+                                                      : NULL;
 }
 
 /* The thread only ever empties the list, so the loop repeats at most once. */

@@ -72,7 +72,6 @@ static void fade_apply(Fade *fade, float *samples, size_t count, int smooth)
 /* Allocate room for delays up to longest_s; return 0 if memory runs out. */
 static int delay_open(DelayLine *line, double longest_s, double samplerate)
 {
-    memset(line, 0, sizeof *line);
     const double frames = longest_s * samplerate + 1.0;
     for (line->capacity = 1; (double)line->capacity < frames;)
         line->capacity *= 2;

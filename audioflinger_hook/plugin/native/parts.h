@@ -82,6 +82,9 @@ typedef struct NumberedCore {
     struct NumberedCore *next;
 } NumberedCore;
 
+/* Free a list of cores, which may be NULL. */
+void numbered_cores_free(NumberedCore *core);
+
 /* Create the core of the page's wanted design. Return NULL or an error message. Allocates. */
 const char *numbered_core_load(NumberedCore *core, const Page *page, unsigned long samplerate);
 
