@@ -16,6 +16,19 @@ from tests.support.usb_shapes import headset_adapter
 DEVICE = usb_builder.device(product=0xDAC1)
 
 
+KEYS = {  # of the document, and of its parts
+    "": "bytes configurations device problem rest settings",
+    "device": "configurations product_id release usb vendor_id",
+    "configurations": "active audio_class bytes formats playback problems value",
+    "formats": "alternate audio_class bits channels encodings feedback implicit_feedback interface "
+    "samplerates subslot_bytes synchronisation",
+    "playback": "alternate bits channel_config channels clock_id clock_sources control_interface "
+    "encodings endpoint_address feature_unit feedback_endpoint implicit_feedback interface "
+    "interval mute_channels packet_bytes_max path samplerates subslot_bytes synchronisation uac "
+    "volume_channels",
+}
+
+
 @pytest.fixture
 def describe(tmp_path: Path) -> Callable[..., Done]:
     """Runs `cushion usb describe` on bytes, as xxd shows them, or on a text."""
@@ -41,6 +54,14 @@ def test_a_dump_is_told_in_words(describe: Callable[..., Done]) -> None:
         done.stdout.replace("48000, 44100", "44100, 48000")
     )
     assert "plays: nothing" not in done.stdout
+
+
+def test_the_document_keeps_its_keys(describe: Callable[..., Done]) -> None:
+    document = json.loads(describe(DEVICE + headset_adapter(), "--json").stdout)
+    (configuration,) = document["configurations"]
+    parts = {"": document, "device": document["device"], "configurations": configuration}
+    parts |= {key: configuration[key][0] for key in ("formats", "playback")}
+    assert {key: " ".join(sorted(part)) for key, part in parts.items()} == KEYS
 
 
 def test_a_dump_of_the_configuration_alone_is_enough(describe: Callable[..., Done]) -> None:
