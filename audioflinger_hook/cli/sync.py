@@ -4,8 +4,6 @@ This program plays clicks on the output that the daemon captures. The taps of vi
 the daemon, which delays the vibration by the offset of each trial.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -1,7 +1,5 @@
 """Lists the applications that have a stream."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

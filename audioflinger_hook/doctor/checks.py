@@ -1,7 +1,5 @@
 """Finds everything that is wrong with a set-up, from its facts. No I/O."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections.abc import Iterator, Mapping

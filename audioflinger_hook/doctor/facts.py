@@ -1,7 +1,5 @@
 """The facts of a set-up: "" or None if unknown. No I/O."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from contextlib import suppress

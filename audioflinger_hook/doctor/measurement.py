@@ -1,7 +1,5 @@
 """Measures the delay from bursts of sound to their vibration, at the monitors of both sinks."""
 
-from __future__ import annotations
-
 import threading
 from contextlib import ExitStack, closing
 

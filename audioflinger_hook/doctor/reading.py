@@ -3,8 +3,6 @@
 Each read has a time limit, and a read that fails leaves its facts empty.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import platform

@@ -1,7 +1,5 @@
 """Repairs that need no root. Each says what it did, or why it did nothing."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping
 from contextlib import closing

@@ -1,7 +1,5 @@
 """Findings and facts as text, and the removal of personal names from a text. No I/O."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence

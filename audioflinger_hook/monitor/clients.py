@@ -4,8 +4,6 @@ A frame is a message with levels and frequencies. A browser acknowledges each fr
 UNDER_WAY_MAX frames may be unacknowledged, which limits the memory and the delay.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections import deque

@@ -1,7 +1,5 @@
 """The page's connection to the daemon, with reconnection after a loss."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

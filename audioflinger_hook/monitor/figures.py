@@ -1,7 +1,5 @@
 """The daemon's status as rows of the page and as metrics for Prometheus."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The page's server for HTTP and websockets: static files, metrics and the live connection."""
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import json

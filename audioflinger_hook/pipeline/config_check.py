@@ -1,7 +1,5 @@
 """All mistakes of a config file, and of the effects file that it names."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from audioflinger_hook.config.file import Config, check

@@ -1,7 +1,5 @@
 """A synthesised chord: an arpeggio on a piano with sustained strings."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from audioflinger_hook.scenes.shaping import (

@@ -11,8 +11,6 @@
 The sounds have different samplerates and sample formats, as sounds of separate applications can.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias

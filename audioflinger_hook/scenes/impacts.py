@@ -1,7 +1,5 @@
 """Synthesised impacts: footsteps on gravel, and an explosion with falling debris."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from audioflinger_hook.scenes.shaping import (

@@ -1,7 +1,5 @@
 """Tools of synthesis. Mono signals are arrays of shape (frames,), stereo signals (frames, 2)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ The source-filter model (G. Fant, "Acoustic Theory of Speech Production", 1960) 
 with the formants of the vocal tract. Consonants are band-passed noise.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

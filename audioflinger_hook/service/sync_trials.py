@@ -12,8 +12,6 @@ entropy of the delay (L. L. Kontsevich, C. W. Tyler, Vision Research 39, 1999).
 Times, answers and random numbers are arguments: nothing here reads a clock or waits.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 from itertools import product
