@@ -60,10 +60,11 @@ def apply_edits(document: MutableMapping[str, Any], edits: Edits) -> None:
 
 
 def _apply_rule(document: MutableMapping[str, Any], match: str, rule: Edits | None) -> None:
-    rules, index = document.get(APPLICATION, []), _rule_index(document, match)
+    index = _rule_index(document, match)
+    rules = document.get(APPLICATION, [])
     if index is None:
         if rule is not None and isinstance(rules, list):  # else `check` reports it
-            document[APPLICATION] = [*rules, {"match": match, **rule}]
+            document.setdefault(APPLICATION, rules).append({"match": match, **rule})
     elif rule is not None:
         for name in rules[index].keys() - rule.keys() - {"match"}:
             del rules[index][name]
@@ -113,7 +114,9 @@ def edited_text(text: str, edits: Edits) -> str:
 
     try:
         expected = tomllib.loads(text)
-        document = tomlkit.parse(_with_rules(text, edits))
+        document = tomlkit.parse(text)
+        if not isinstance(document.get(APPLICATION), tomlkit.items.Array):  # of inline tables
+            document = tomlkit.parse(_with_rules(text, edits))
         apply_edits(document, edits)
     except (TOMLKitError, ValueError) as error:
         raise UsageError(

@@ -1,7 +1,7 @@
 """Reads the config file (TOML), and finds all mistakes in it at once, with line numbers."""
 
 import os
-from dataclasses import astuple, dataclass, field
+from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -150,18 +150,27 @@ class _Reading:
         self.accepted[Settings]["actuators"] = self.arrays[ACTUATOR]
         owners: tuple[type[Described], ...] = (TransformParameters, Settings, LiveSettings)
         for owner in owners:
-            base = values_of(self.profile) if owner is TransformParameters else {}
-            values = owner.defaults() | base | self.accepted[owner]
-            values = {n: value for n, value in values.items() if (owner, n) not in self.refused}
-            for name, refusal in owner.contradictions(values).items():
+            for name, refusal in self._contradictions(owner, self.profile).items():
                 section = next(k.section for k in KEYS if (k.owner, k.field) == (owner, name))
                 self._add(f"{section}.{name}" if section else name, refusal)
+        for number, rule in enumerate(self.arrays[APPLICATION], 1):
+            profile = rule.get("profile") or self.profile
+            found = self._contradictions(TransformParameters, profile)
+            for name in found.keys() if profile != self.profile else ():
+                wrong = f"does not fit {name} in [transform], which {found[name].wrong}"
+                self._add(f"{APPLICATION}[{number}].profile", replace(found[name], wrong=wrong))
         wired = [actuator.get("channels", ()) for actuator in self.arrays[ACTUATOR]]
         for (number, key), refusal in rule_refusals(self.arrays[APPLICATION]).items():
             self._add(f"{APPLICATION}[{number}].{key}", refusal)
         for number, refusal in wiring_refusals(wired).items():
             if wired[number - 1]:  # If there are no channels, another mistake is already reported.
                 self._add(f"{ACTUATOR}[{number}].channels", refusal)
+
+    def _contradictions(self, owner: type[Described], profile: str) -> dict[str, Refusal]:
+        base = values_of(profile) if owner is TransformParameters else {}
+        values = owner.defaults() | base | self.accepted[owner]
+        values = {n: value for n, value in values.items() if (owner, n) not in self.refused}
+        return owner.contradictions(values)
 
     @property
     def profile(self) -> str:

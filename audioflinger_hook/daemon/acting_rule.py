@@ -1,5 +1,6 @@
 """The [[application]] rule that acts: that of the application that began to play last."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 from audioflinger_hook.config.applications import ApplicationRule
@@ -7,7 +8,9 @@ from audioflinger_hook.daemon.run_config import RunConfig
 from device.drive.settings import GAIN_MIN_DB
 from device.server import AppRules, ServerSnapshot
 from device.server.app_rules import first_match
+from device.server.forwarding import sinks_heard_on
 from device.server.left_out import microphones_of
+from device.server.snapshot import Stream
 
 
 class ActingRule:
@@ -19,22 +22,29 @@ class ActingRule:
         self._count = 0
 
     def update(
-        self, snapshot: ServerSnapshot | None, config: RunConfig, haptic_sink: str | None
+        self,
+        snapshot: ServerSnapshot | None,
+        config: RunConfig,
+        haptic_sink: str | None,
+        tapped_sink: str | None = None,
     ) -> bool:
         """Look at the streams that play; return whether another rule acts now.
 
-        haptic_sink: sink of the vibration; streams to it have no rule.
+        haptic_sink: sink of the vibration; streams to it have no rule. tapped_sink: only streams
+        that are heard there have a rule; None for all.
         """
         before, self.rule = self.rule, None
-        if snapshot is not None:
-            self.rule = self._newest(snapshot, config, haptic_sink)
+        if snapshot is not None and config.live.application_rules:
+            heard = None if tapped_sink is None else sinks_heard_on(snapshot, tapped_sink)
+            selected = (config.rules or AppRules()).select(snapshot, haptic_sink)
+            playing = [one for one in selected if not (one.corked or one.mute)]
+            playing = [one for one in playing if heard is None or one.device_name in heard]
+            self.rule = self._newest(snapshot, config, {one.index: one for one in playing})
         return self.rule != before
 
     def _newest(
-        self, snapshot: ServerSnapshot, config: RunConfig, haptic_sink: str | None
+        self, snapshot: ServerSnapshot, config: RunConfig, playing: Mapping[int, Stream]
     ) -> ApplicationRule | None:
-        selected = (config.rules or AppRules()).select(snapshot, haptic_sink)
-        playing = {one.index: one for one in selected if not (one.corked or one.mute)}
         self._began = {index: self._began[index] for index in self._began if index in playing}
         for index in sorted(playing.keys() - self._began.keys()):
             self._count += 1

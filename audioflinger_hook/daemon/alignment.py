@@ -109,7 +109,8 @@ class Alignment:
             heard = source.monitor_of or ""
         else:
             assert isinstance(source, Applications)
-            sinks = {stream.device_name for stream in source.streams}
+            playing = [stream for stream in source.streams if not stream.corked]
+            sinks = {stream.device_name for stream in playing or source.streams}
             heard = source.sink or (sinks.pop() if len(sinks) == 1 else "")
             if not source.streams and not heard:
                 return self._pair

@@ -8,6 +8,7 @@ from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.status import Application
 from device.server import AppRules, ServerSnapshot
 from device.server.app_rules import app_name
+from device.server.forwarding import sinks_heard_on
 from device.server.left_out import REASONS, microphones_of
 
 APPLICATIONS_MAX = 32  # the status shows at most this number of applications
@@ -30,20 +31,23 @@ def applications_in(
     """
     if snapshot is None:
         return ()
-    rules = config.rules
+    rules, mixed = config.rules, set[int]()
     everyone = AppRules().select(snapshot, haptic_sink)
     if rules is not None:
         felt = {stream.index for stream in rules.select(snapshot, haptic_sink)}
     else:
         sink = getattr(source, "monitor_of", None)
-        felt = {stream.index for stream in everyone if stream.device_name == sink}
+        heard = sinks_heard_on(snapshot, sink) if sink else ()
+        felt = {stream.index for stream in everyone if stream.device_name in heard}
+        if not is_mixed:
+            mixed = {one.index for one in everyone if one.index in felt and one.device_name != sink}
     microphones = microphones_of(snapshot)
     found: dict[str, Application] = {}
     for stream in everyone:
         name = app_name(stream)
         before = found.get(name, Application(name, plays=False, is_felt=False))
         why = config.left_out.why(stream, microphones)
-        takes = stream.index in felt and (is_mixed or not why)
+        takes = stream.index in felt and (is_mixed or stream.index in mixed or not why)
         if not why and acting is not None and acting.rule.matches(stream):
             why = f'rule "{acting.match}"'
         found[name] = Application(
@@ -52,9 +56,10 @@ def applications_in(
             is_felt=before.is_felt or takes,
             rule=why or before.rule,
         )
+    whole = {app_name(stream) for stream in everyone if is_mixed or stream.index in mixed}
     return tuple(
         replace(one, rule=f"part left out: {one.rule}")
-        if one.is_felt and one.rule in REASONS and not is_mixed
+        if one.is_felt and one.rule in REASONS and one.name not in whole
         else one
         for one in found.values()
     )[:APPLICATIONS_MAX]

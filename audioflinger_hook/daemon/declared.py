@@ -59,6 +59,8 @@ class DeclaredDelays:
             self._pair, self._looked_s, self._last = pair, -math.inf, Declared()
             self._looks.clear()
             self.warning = ""
+        if watch is not None:
+            self.close()
         if connection.latest.kind == "PipeWire":
             found = self._of_graph(pair, watch or self._own_watch(now_s), cycle)
             forwarding_s = cycle[0] / cycle[1] if forwards else 0.0  # its streams hold one cycle

@@ -240,7 +240,10 @@ class Engines:
             is_felt = not tap.is_muted(snapshot)
             streams_db = tap.monitor_db(snapshot)
             if self._config.settings.parameters.loudness_db > 0.0:
-                volume_db = tap.volume_db(snapshot)
+                native = self.native.engine
+                taps_streams = native is not None and not native.monitor_reason
+                left_out = self._config.left_out if taps_streams else None
+                volume_db = tap.volume_db(snapshot, left_out)
                 # At 0 %, keep the gain. The largest gain would turn the next sound into a burst.
                 silent = volume_db == -math.inf
                 self.volume_db = before_db if silent else undone_db(volume_db, snapshot.kind)

@@ -55,6 +55,7 @@ class OffsetStore:
         kept = [{**one._asdict(), "delay_s": known_s} for one, known_s in self._delays_s.items()]
         text = json.dumps({"version": VERSION, "offsets": kept}, indent=1)
         write_private(self._folder / FILE, f"{text}\n".encode())
+        self.warning = ""
 
     def _read(self, path: Path) -> None:
         delays_s = {}

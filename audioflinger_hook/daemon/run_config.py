@@ -118,7 +118,10 @@ class Change(Enum):
 
 
 # After these changes, the daemon does not choose again between the native and the Python engine.
-SLIGHT = {Change.LEVEL, Change.VOLUME, Change.OFFSET, Change.PRIORITY, Change.LEFT_OUT}
+SLIGHT = {
+    *(Change.LEVEL, Change.ACTUATORS, Change.VOLUME, Change.OFFSET, Change.PRIORITY),
+    *(Change.TRANSFORM, Change.LEFT_OUT),
+}
 
 
 def changes_between(old: RunConfig, new: RunConfig) -> set[Change]:

@@ -23,7 +23,7 @@ from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from audioflinger_hook.service.status import Application
 from device.errors import CushionError, LostError, NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
-from device.server.snapshot import tap_latency_s
+from device.server.snapshot import Source, tap_latency_s
 from device.stream import AudioPriority
 
 # Longest time between ticks while streams are open. Queries of a sink's latency must not keep step
@@ -59,7 +59,7 @@ class Supervisor:
     ) -> None:
         now_s = clocks.now_s()
         self.states = StateKeeper(now_s)
-        self.config, self.config_error = config, ""
+        self.config, self.config_error, self._rule_error = config, "", ""
         self.user_config, self._acting = config, ActingRule()
         self._folder = folder
         self.priority = AudioPriority(config.live.realtime)
@@ -163,7 +163,7 @@ class Supervisor:
             if engine and engine.framework.bypassed():
                 warnings.append("an effect was bypassed, so a replay will differ from it")
         warnings += self.alignment.warnings
-        others = [self._link.warning, self.priority.warning, self.config_error]
+        others = [self._link.warning, self.priority.warning, self.config_error, self._rule_error]
         others += [self.engines.safety.warning, *self.engines.warnings]
         others.append(not_left_out(self.applications))
         others.append(self._limits.advice(self.config.settings))
@@ -201,11 +201,12 @@ class Supervisor:
             if device is None:
                 return
             haptic = device.name if self.output.needs_server else None
-            if self._acting.update(snapshot, self.user_config, haptic):
-                self._use_rule(now_s)
             self._found = (None, device)
             source = self._locate_tap(snapshot, device)
             self._found = (source, device)
+            tapped = source.monitor_of if isinstance(source, Source) else None
+            if self._acting.update(snapshot, self.user_config, haptic, tapped):
+                self._use_rule(now_s)
             if connection:
                 self._drop_in.maintain(connection, haptic, now_s)
             runs = self.states.state is DaemonState.RUNNING
@@ -242,16 +243,28 @@ class Supervisor:
 
     def follow(self, config: RunConfig, now_s: float) -> set[Change]:
         """Apply another config; return what differs. After a UsageError, nothing has changed."""
-        self._apply(with_rule(config, self._acting.rule), now_s)
+        self._apply(self._with_rule(config), now_s)
         changes = changes_between(self.user_config, config)
         self.user_config = config
         return changes
 
     def _use_rule(self, now_s: float) -> None:
         try:
-            self._apply(with_rule(self.user_config, self._acting.rule), now_s)
+            self._apply(self._with_rule(self.user_config), now_s)
         except UsageError as error:  # the sound goes on as before
-            self.config_error = f"the rule {self.rule!r} of [[application]] cannot act: {error}"
+            self._note_rule(error)
+
+    def _with_rule(self, config: RunConfig) -> RunConfig:
+        """Return the config with the rule that acts, without it if it contradicts the config."""
+        self._rule_error = ""
+        try:
+            return with_rule(config, self._acting.rule)
+        except UsageError as error:
+            self._note_rule(error)
+            return config
+
+    def _note_rule(self, error: UsageError) -> None:
+        self._rule_error = f"the rule {self.rule!r} of [[application]] cannot act: {error}"
 
     def _apply(self, config: RunConfig, now_s: float) -> None:
         """Apply another config with the rule that acts; see `follow`."""

@@ -44,6 +44,15 @@ class Rule:
 
     def matches(self, stream: Stream) -> bool:
         """Whether the rule matches this stream; an unknown property matches no rule."""
+        known = self._names(stream)
+        return self.name in known or any(fnmatchcase(name, self.name) for name in known)
+
+    def distance(self, stream: Stream) -> int:
+        """Return 0 for the application's name, 1 for another name of it, 2 for a pattern."""
+        own = app_name(stream).strip().casefold()
+        return 0 if self.name == own else 1 if self.name in self._names(stream) else 2
+
+    def _names(self, stream: Stream) -> list[str]:
         names = (stream.application, stream.properties.get("application.id", ""))
         values = {
             "role": (stream.role,),
@@ -51,15 +60,13 @@ class Rule:
             "application": names,
             "": (stream.binary, *names),
         }
-        known = [value.casefold() for value in values[self.kind] if value]
-        return any(value == self.name or fnmatchcase(value, self.name) for value in known)
+        return [value.strip().casefold() for value in values[self.kind] if value]
 
 
 def first_match(rules: Iterable[tuple[Rule, Any]], stream: Stream) -> Any:
-    """Return what the first matching rule has; one of exactly the application's name is first."""
+    """Return what the first matching rule has; rules with an exact name come first."""
     found = [one for one in rules if one[0].matches(stream)]
-    own = app_name(stream).strip().casefold()
-    return min(found, key=lambda one: one[0].name != own)[1] if found else None
+    return min(found, key=lambda one: one[0].distance(stream))[1] if found else None
 
 
 Names = tuple[str, ...]

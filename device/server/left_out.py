@@ -58,6 +58,11 @@ class LeftOut:
             return ""
         return next(filter(None, (_browser_call(stream, one) for one in microphones)), "")
 
+    def of(self, snapshot: ServerSnapshot) -> frozenset[int]:
+        """Return the indexes of the playing streams that are left out."""
+        microphones = microphones_of(snapshot)
+        return frozenset(one.index for one in snapshot.sink_inputs if self.why(one, microphones))
+
 
 ROLES_ONLY = LeftOut()  # leaves out calls and alerts
 

@@ -39,6 +39,10 @@ def test_calls_and_alerts_are_left_out_by_default():
         ('match = "a"\nfeel = false\ngain_db = -3', "gain_db", 4, "contradicts feel = false"),
         ('match = "a"\nfeel = false\nprofile = "game"', "profile", 4, "contradicts feel = false"),
         ('match = "a"\nlevel = 3', "level", 3, "is an unknown key"),
+        (
+            'match = "a"\nprofile = "speech"\n[transform]\nband_high_hz = 250',
+            *("profile", 3, "does not fit band_high_hz in [transform], which is under twice"),
+        ),
     ],
 )
 def test_a_rule_that_cannot_act_is_named_with_its_line(text, key, line, words):

@@ -16,7 +16,7 @@ from audioflinger_hook.config.edits import (
     editable,
     edited_text,
 )
-from device.errors import InternalError, UsageError, WriteError
+from device.errors import UsageError, WriteError
 
 TEXT = """# My cushion.
 device = "haptic" # the one under the seat
@@ -100,9 +100,14 @@ def test_a_rule_that_is_added_and_removed_leaves_the_file_as_it_was(text):
     assert edited_text(added, {FIREFOX: None}) == text
 
 
-def test_rules_without_a_table_of_their_own_are_left_to_the_user():
-    with pytest.raises((InternalError, UsageError)):
-        edited_text('application = [{match = "a"}]\n', {FIREFOX: {"feel": False}})
+def test_rules_in_one_array_are_changed_there():
+    text = 'application = [{match = "a", feel = false}] # mine\ngain_db = -3.0\n'
+    added = edited_text(text, {FIREFOX: {"feel": False}})
+    rules = [{"match": "a", "feel": False}, {"match": "Firefox", "feel": False}]
+    assert tomllib.loads(added) == {"application": rules, "gain_db": -3.0}
+    assert "# mine" in added
+    changed = edited_text(added, {RULE + "a": {"profile": "game"}, FIREFOX: None})
+    assert tomllib.loads(changed)["application"] == [{"match": "a", "profile": "game"}]
 
 
 @pytest.mark.parametrize("match", ["Firefox", "a.b", "a]", "application:Radio: live", '"\\'])

@@ -1,5 +1,7 @@
 """Which sinks the offset is about, when their delays are read, and what PulseAudio's mean."""
 
+from contextlib import nullcontext
+from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any, cast
@@ -8,7 +10,7 @@ import pytest
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.alignment import Alignment
-from audioflinger_hook.daemon.declared import LOOK_S, ORDINARY_S
+from audioflinger_hook.daemon.declared import LOOK_S, ORDINARY_S, DeclaredDelays
 from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.offset import DECLARED, FOLLOWED_S, UNKNOWN
 from audioflinger_hook.daemon.offset_store import OffsetStore, SinkPair
@@ -125,8 +127,21 @@ def test_applications_are_heard_where_they_all_play():
     both = stream(1, 0, "tv"), stream(2, 1, "bt")
     assert case.pass_s(1.0, Applications(both[1:]))[1] == DECLARED
     assert case.pass_s(1.0, Applications())[1] == DECLARED  # between two songs
+    paused = replace(both[0], corked=True), both[1]
+    assert case.pass_s(1.0, Applications(paused))[1] == DECLARED
     assert case.pass_s(1.0, Applications(both)) == (0.0, UNKNOWN)
     assert case.pass_s(1.0, Applications(both, sink="bt"))[1] == DECLARED
+
+
+def test_one_watch_of_the_graph_is_enough():
+    declared, closed = DeclaredDelays(lambda: None), []
+    declared._watch = cast(Any, SimpleNamespace(close=lambda: closed.append(True)))
+    graph = SimpleNamespace(declared_s=lambda *_: 0.1)
+    watch = cast(Any, SimpleNamespace(lock=nullcontext(), graph=graph))
+    connection = cast(Any, SimpleNamespace(latest=snapshot("PipeWire")))
+    pair = SinkPair("tv", "dac")
+    found = declared.read(pair, connection, watch, (1_024, 48_000), 0.0, forwards=False)
+    assert (found.heard_s, closed) == (0.1, [True])
 
 
 def test_a_microphone_is_heard_nowhere():

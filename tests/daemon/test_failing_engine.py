@@ -13,6 +13,7 @@ from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon import engines as engines_module
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.engines import Engines
+from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.native import chains as chains_module
 from audioflinger_hook.daemon.native.chains import RESTART_S, STUCK_S, Chains, RunningChain
 from audioflinger_hook.daemon.native.engine import NativeEngine
@@ -22,7 +23,7 @@ from audioflinger_hook.daemon.native.taps import Tap
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.daemon.run_config import RunConfig, changes_between
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
-from audioflinger_hook.service.state import StateKeeper
+from audioflinger_hook.service.state import DaemonState, StateKeeper
 from audioflinger_hook.sources import parse_tap
 from device.address import parse_device
 from device.errors import LostError
@@ -43,6 +44,7 @@ class Engine:
 
     def __init__(self, error: LostError | None) -> None:
         self.error = error
+        self.plays = False
         self.monitor_reason = ""
         self.waits_for = ""
         self.is_fed = True
@@ -54,7 +56,7 @@ class Engine:
     def maintain(self, *_: object, **__: object) -> bool:
         if self.error:
             raise self.error
-        return False
+        return self.plays
 
     def set_sound_gains(self, **_: float) -> None: ...
 
@@ -64,12 +66,18 @@ class Engine:
     def close(self) -> None: ...
 
 
-def kept(engine: Engine, folder: Path, times_s: list[float]) -> Iterator[NativeRun]:
+def kept(
+    engine: Engine,
+    folder: Path,
+    times_s: list[float],
+    source: Source | Applications = SOURCE,
+    players: frozenset[int] = frozenset(),
+) -> Iterator[NativeRun]:
     run = NativeRun(CONFIG, folder, StateKeeper(0.0), lambda: None, lambda *_: None)
     server = cast(PulseConnection, SimpleNamespace(set_sink_volume_db=lambda *_: None))
     for now_s in times_s:
         run.engine = run.engine or cast(NativeEngine, engine)
-        run.maintain(SOURCE, SINK, frozenset(), server, DeviceVolume(None), (1.0, 1.0), now_s)
+        run.maintain(source, SINK, players, server, DeviceVolume(None), (1.0, 1.0), now_s)
         yield run
 
 
@@ -91,6 +99,29 @@ def test_a_start_that_takes_too_long_leads_to_the_monitor_then_to_python(tmp_pat
         reason = run.problem
     assert ways == [(True, False), (True, False), (True, True), (True, True), (False, True)]
     assert "did not start within 5 s" in reason
+
+
+def test_chosen_applications_are_never_tapped_by_the_monitor_which_has_all_sound(tmp_path):
+    late, lost = Engine(None), Engine(LostError("it crashed"))
+    for engine, times_s in ((late, [0.0, START_S + 0.1]), (lost, [0.0, 0.1])):
+        (*_, run) = kept(engine, tmp_path, times_s, Applications(()))
+        assert run.problem
+        assert not engine.monitor_reason
+
+
+@pytest.mark.parametrize(
+    ("reason", "is_fed", "state"),
+    [
+        ("", False, DaemonState.IDLE),
+        ("", True, DaemonState.RUNNING),
+        ("refused", False, DaemonState.RUNNING),
+    ],
+)
+def test_streams_that_are_left_out_let_the_daemon_rest(tmp_path, reason, is_fed, state):
+    engine = Engine(None)
+    engine.plays, engine.is_fed, engine.monitor_reason = True, is_fed, reason
+    (*_, run) = kept(engine, tmp_path, [0.0, 100.0], players=frozenset({9}))
+    assert run._states.state is state
 
 
 def test_a_chain_that_failed_once_begins_anew_with_the_streams(tmp_path):
@@ -118,6 +149,7 @@ def test_the_engine_is_chosen_when_a_server_or_a_config_begins_only(tmp_path, mo
     engines.reason = "the native engine failed"
     follow(CONFIG)
     follow(replace(CONFIG, muted=True, settings=Settings(gain_db=-6.0)))
+    follow(replace(CONFIG, settings=Settings(profile="music")))
     assert chosen(first) == "the native engine failed"
     assert chosen(second) == ""
     engines.reason = "the native engine failed"

@@ -45,6 +45,7 @@ from device.errors import LostError, NotFoundError, UsageError
 from device.layouts import layout
 from device.server import PulseConnection
 from device.server.snapshot import ServerSnapshot, Sink, Source
+from device.units import db_to_amplitude
 from tests.support.programs import printed
 
 STEREO = "front-left,front-right"
@@ -174,6 +175,26 @@ def test_a_page_is_private_and_its_file_goes_with_it(tmp_path):
     page.close()
     page.close()
     assert not path.exists()
+
+
+def test_a_gain_rises_in_a_design_with_another_protection_only_once_that_one_plays(tmp_path):
+    page = Page(tmp_path / "page", 2, 1, [0])
+    chains = Chains(config(Settings(gain_db=-20.0)), tmp_path, lambda *_: None, DriveDesigns())
+    plan = ChainPlan.of(Settings(), Tap("desk", ("FL", "FR"), "desk"), 48_000)
+    chain = cast(Any, SimpleNamespace(page=page, design=SimpleNamespace(plan=plan)))
+    chains.current = cast(Any, SimpleNamespace(chain=chain))
+    for protection, gain_db, playing_db, next_db in (
+        ("off", -20.0, -20.0, -20.0),
+        ("on", -6.0, -20.0, -6.0),
+        ("on", -40.0, -40.0, -40.0),
+        ("off", -6.0, -6.0, -6.0),
+    ):
+        rig: Any = {"rig": "consumer", "protection": protection} if protection == "on" else {}
+        chains.follow(config(Settings(gain_db=gain_db, **rig)))
+        gains = [bank.controls.actuators[0].gain for bank in page._page.banks]
+        wanted = [db_to_amplitude(playing_db), db_to_amplitude(next_db)]
+        assert gains == pytest.approx(wanted)
+    page.close()
 
 
 def test_levels_are_read_and_partials_unless_they_are_being_written(tmp_path):

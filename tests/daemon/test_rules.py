@@ -1,6 +1,7 @@
 """Which streams are left out, and which [[application]] rule acts; without a server."""
 
 from dataclasses import replace
+from typing import Any, cast
 
 import pytest
 
@@ -8,12 +9,18 @@ from audioflinger_hook.config.applications import ApplicationRule
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.acting_rule import ActingRule, with_rule
 from audioflinger_hook.daemon.applications import applications_in, not_left_out
+from audioflinger_hook.daemon.engine import Clocks
+from audioflinger_hook.daemon.inputs.sink import SinkInput
 from audioflinger_hook.daemon.native.taps import Tap
 from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.daemon.supervisor import Supervisor
+from audioflinger_hook.daemon.timing import Wake
 from audioflinger_hook.sources import parse_tap
+from audioflinger_hook.transform import TransformParameters
 from device.address import parse_device
 from device.server.left_out import LeftOut
-from device.server.snapshot import ServerSnapshot, Source, Stream
+from device.server.snapshot import ServerSnapshot, Sink, Source, Stream
+from device.server.tap_volume import TapVolume
 from tests.support.browser_streams import PLAYING, RECORDING, felt, properties, scenes
 from tests.support.graphs import desktop, link, node, play, port
 
@@ -152,10 +159,66 @@ def test_feel_false_leaves_out_what_a_pattern_or_a_list_includes():
 
 def test_the_rule_of_an_applications_own_name_acts_before_patterns_unless_it_changes_nothing():
     own = ApplicationRule(match="SuperTux", profile="music")
-    for rules, rule in (((GAME, own), own), ((GAME, replace(own, profile=None, feel=True)), GAME)):
+    program = replace(own, match="supertux2")
+    none = replace(own, profile=None, feel=True)
+    for rules, rule in (((GAME, own), own), ((GAME, program), program), ((GAME, none), GAME)):
         acting = ActingRule()
-        acting.update(seen(stream(4, "SuperTux")), config_of(*rules), "dac")
+        game = stream(4, "SuperTux", binary="supertux2")
+        acting.update(seen(game), config_of(*rules), "dac")
         assert acting.rule == rule
+
+
+EFFECTS = {"node.link-group": "effects"}
+EFFECT_SINK = Sink(5, "effects", "", "", 48_000, 2, None, EFFECTS)
+DESK_SINK = Sink(1, "desk", "", "desk.monitor", 48_000, 2, None, {})
+TO_DESK = Stream(9, 1, "desk", "", "", "", "", None, False, False, EFFECTS)
+
+
+def test_an_application_that_is_not_heard_on_the_tapped_sink_has_no_rule():
+    config, television = config_of(MUSIC, GAME), stream(4, "SuperTux", sink="tv")
+    through = replace(television, device_name="effects")
+    for game, sink, rule in (
+        (television, "desk", MUSIC), (television, None, GAME), (through, "desk", GAME)
+    ):  # fmt: skip
+        acting, snapshot = ActingRule(), seen(stream(1, "mpv"), game, TO_DESK)
+        snapshot = replace(snapshot, sinks=(DESK_SINK, EFFECT_SINK))
+        acting.update(snapshot, config, "dac", sink)
+        assert acting.rule == rule
+
+
+def test_what_plays_through_a_sink_of_effects_is_felt_and_a_call_there_is_told():
+    call = stream(3, "Zoom", sink="effects")
+    snapshot = seen(call, stream(4, "mpv", sink="effects"), TO_DESK)
+    snapshot = replace(snapshot, sinks=(DESK_SINK, EFFECT_SINK))
+    shown = applications_in(snapshot, config_of(), SOURCE, "dac")
+    assert {one.name: (one.is_felt, one.rule) for one in shown} == {
+        "Zoom": (True, "call"), "mpv": (True, "")
+    }  # fmt: skip
+    assert "Zoom" in not_left_out(shown)
+
+
+def test_a_call_that_is_left_out_has_no_effect_on_the_strength_of_a_film():
+    tap: Any = SinkInput(parse_tap("default"), *[cast(Any, None)] * 3)
+    call = replace(stream(3, "WEBRTC VoiceEngine"), volume_db=-13.0)
+    snapshot = replace(seen(call, stream(4, "mpv")), sinks=(DESK_SINK,))
+    tap.locate(snapshot, "dac")
+    assert tap.volume_db(snapshot, LeftOut()) == 0.0
+    assert tap.volume_db(snapshot, LeftOut(calls_and_alerts=True)) == 0.0  # mpv goes on
+    tap._volume = TapVolume()
+    assert tap.volume_db(snapshot) == -13.0  # of a monitor, which has the call
+
+
+def test_a_rule_that_contradicts_the_config_does_not_act_and_does_not_refuse_the_config():
+    config = replace(config_of(), tap=parse_tap("scene:demo"), device=parse_device("twin"))
+    daemon = Supervisor(config, Clocks(float, float), Wake())
+    daemon._acting.rule = ApplicationRule(match="mpv", profile="speech")
+    narrow = replace(config, settings=Settings(parameters=TransformParameters(band_high_hz=250.0)))
+    narrow = replace(narrow, settings=replace(narrow.settings, said=("band_high_hz",)))
+    for one, profile, is_told in ((narrow, "paper", True), (config, "speech", False)):
+        daemon.follow(one, 0.0)
+        assert daemon.config.settings.profile == profile
+        assert any("'mpv' of [[application]] cannot act" in w for w in daemon.warnings) == is_told
+    daemon.close(0.0)
 
 
 def test_the_rule_of_the_newest_playing_application_acts_and_ends_with_it():

@@ -233,23 +233,26 @@ def listening(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return changes
 
 
-def change(page: Page, folder: Path, number: int, design: bytes) -> None:
+def change(page: Page, folder: Path, number: int, design: bytes, delay_frames: float = 0.0) -> None:
     """Let the plugin change to a design, as the daemon does."""
     (folder / f"design.{number}").write_bytes(design)
     page.prepare(number, 1, [0])
+    page.set_actuator(0, 1.0, delay_frames)
     page.want(number)
     file = os.open(folder / "changes", os.O_WRONLY | os.O_NONBLOCK)
     os.write(file, b"\0")
     os.close(file)
 
 
+@pytest.mark.parametrize("delay", [0, RATE_HZ // 3])
 def test_another_design_takes_over_by_a_cross_fade_after_it_has_heard_the_sound(
-    daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    daemon: Daemon, delay: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     listening(tmp_path, monkeypatch)
     first, second = UNDRIVEN, any_design("protected", RATE_HZ, 2)
     page, instance = daemon(first, 2, 1, [0])
     page.set_audible(True)
+    page.set_actuator(0, 1.0, delay)
     rng = np.random.default_rng(5)
     sound, played = [], []
 
@@ -259,7 +262,7 @@ def test_another_design_takes_over_by_a_cross_fade_after_it_has_heard_the_sound(
 
     while len(sound) < 20:
         play()
-    change(page, tmp_path, 1, second)
+    change(page, tmp_path, 1, second, delay)
     while page.playing != 1:
         play()
         assert len(sound) < 100_000, "the design was never loaded"
@@ -270,11 +273,12 @@ def test_another_design_takes_over_by_a_cross_fade_after_it_has_heard_the_sound(
         ctypes.memmove(core._controls, ctypes.addressof(page.controls), ctypes.sizeof(Controls))
     whole = np.concatenate(sound)
     before, after = old.process(whole), new.process(whole[begin:])
-    x = np.clip((np.arange(1, len(after) + 1) / RATE_HZ - 0.2) / 0.04, 0.0, 1.0)
+    frames = np.arange(1, len(after) + 1) - delay
+    x = np.clip((frames / RATE_HZ - 0.2) / 0.04, 0.0, 1.0)
     share = (x**3 * (10.0 + x * (6.0 * x - 15.0))).astype(np.float32)[:, None]
     wanted = before.copy()
     wanted[begin:] += share * (after - before[begin:])
-    wanted[begin + HEARS + FADES :] = after[HEARS + FADES :]
+    wanted[begin + delay + HEARS + FADES :] = after[delay + HEARS + FADES :]
     got = np.concatenate(played)[:, : old.outputs]
     assert np.abs(got - wanted).max() <= 1e-7  # one step of float32 near 1 in the cross-fade
     assert got[:begin].tobytes() == wanted[:begin].tobytes()

@@ -17,7 +17,7 @@ from device.server import AppCaptures, PulseConnection, ServerSnapshot
 from device.server.app_capture import AppCapture, EndReason
 from device.server.app_rules import app_name
 from device.server.identity import default_monitor
-from device.server.left_out import microphones_of
+from device.server.left_out import LeftOut, microphones_of
 from device.server.snapshot import Sink, Stream
 from device.server.tap_volume import TapVolume, muted_sink
 from device.stream import AudioPriority
@@ -181,7 +181,7 @@ class ApplicationsInput(Input):
         """See `Input`."""
         return frozenset(stream.index for stream in self._found.streams if not stream.corked)
 
-    def volume_db(self, snapshot: ServerSnapshot) -> float:
+    def volume_db(self, snapshot: ServerSnapshot, left_out: LeftOut | None = None) -> float:
         """Return the volume in dB of the captured streams; see `TapVolume`."""
         return self._volume.follow(snapshot, self.players(snapshot))
 

@@ -14,6 +14,7 @@ from device.layouts import order_from_alsa
 from device.server import PulseConnection, ServerSnapshot
 from device.server.forwarding import reachable_sinks
 from device.server.identity import default_monitor, find_tagged, is_cushion_stream, monitor_of
+from device.server.left_out import LeftOut
 from device.server.snapshot import Source
 from device.server.tap_volume import TapVolume, monitor_volume_db, muted_sink
 from device.stream import AudioPriority, CaptureStream
@@ -118,9 +119,12 @@ class SinkInput(Input):
         playing = snapshot.playing_to(self._found.monitor_of)
         return frozenset(stream.index for stream in playing if not is_cushion_stream(stream))
 
-    def volume_db(self, snapshot: ServerSnapshot) -> float:
+    def volume_db(self, snapshot: ServerSnapshot, left_out: LeftOut | None = None) -> float:
         """Return the volume in dB that stream, sink and monitor apply to the captured sound."""
-        return self._volume.follow(snapshot, self.players(snapshot), self._found)
+        players = self.players(snapshot)
+        if left_out is not None:
+            players -= left_out.of(snapshot)
+        return self._volume.follow(snapshot, players, self._found)
 
     def monitor_db(self, snapshot: ServerSnapshot) -> float:
         """Return the volume in dB that sink and monitor apply to the captured sound."""

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from audioflinger_hook.daemon.native.chain import NAME, Chain, ChainDesign, has_realtime
-from audioflinger_hook.daemon.native.page import Page
-from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns
+from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns, drives_of
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.drive.drive import DrivenRig
@@ -84,12 +83,14 @@ class RunningChain:
             self._linked_frames = self.chain.page.frames
 
     def is_settled(self, now_s: float) -> bool:
-        """Whether the chain is linked, and has once been linked for SETTLED_FRAMES or SETTLED_S.
+        """Whether the chain is linked, and once was for SETTLED_FRAMES or SETTLED_S and its delay.
 
         A playing sound begins abruptly in a new chain; without a wait, it would feel like a knock.
         """
-        heard = self.chain.page.frames - self._linked_frames >= SETTLED_FRAMES
-        if self.is_linked and (heard or now_s - self.linked_s > SETTLED_S):
+        delay_frames = self.chain.page.delay_frames
+        heard = self.chain.page.frames - self._linked_frames >= SETTLED_FRAMES + delay_frames
+        longest_s = SETTLED_S + delay_frames / self.chain.plan.samplerate
+        if self.is_linked and (heard or now_s - self.linked_s > longest_s):
             self.has_settled = True
         return self.is_linked and self.has_settled
 
@@ -132,7 +133,7 @@ class Chains:
         """Apply another config's gains and delays to the running chains."""
         self._config = config
         for running in self.running:
-            self._set_actuators(running.chain.page, running.chain.plan)
+            self._set_actuators(running.chain, running.chain.design)
 
     def set_offset(self, offset_s: float) -> None:
         """Set the delay of all actuators in seconds."""
@@ -289,16 +290,22 @@ class Chains:
 
     def _prepare(self, chain: Chain, design: ChainDesign) -> None:
         chain.page.set_sound_gain(self._sound_gain)
-        self._set_actuators(chain.page, design.plan)
+        self._set_actuators(chain, chain.design if design.number else design)
         self._restore(design.rigs, True)
 
-    def _set_actuators(self, page: Page, plan: ChainPlan) -> None:
-        """Set gains and delays of a plan's actuators."""
+    def _set_actuators(self, chain: Chain, playing: ChainDesign) -> None:
+        """Set gains and delays of all actuators.
+
+        No gain rises in a design that plays with another rig, damping or protection than the config
+        has: the design that follows protects the actuator at the new gain.
+        """
         settings, offset_s = self._config.settings, self._offset_s
+        page, plan, holds = chain.page, playing.plan, playing.plan.drives != drives_of(settings)
         level = 0.0 if self._config.muted else db_to_amplitude(settings.gain_db)
         if not settings.actuators:
             for slot in range(len(plan.actuators)):
-                page.set_actuator(slot, level, offset_s * plan.samplerate)
+                page.set_actuator(slot, level, offset_s * plan.samplerate, holds=holds)
         for slot, actuator in enumerate(settings.actuators[: len(plan.actuators)]):
             delay_s = offset_s + 1e-3 * actuator.delay_ms
-            page.set_actuator(slot, level * actuator.factor, delay_s * plan.samplerate)
+            delay_frames = delay_s * plan.samplerate
+            page.set_actuator(slot, level * actuator.factor, delay_frames, holds=holds)

@@ -102,8 +102,8 @@ class NativeEngine:
         self.chains.set_sound_gain(monitor if self.monitor_reason else streams)
 
     def use_monitor(self, reason: str) -> None:
-        """Tap the sink's monitor from now on."""
-        self._must_use_monitor, self.monitor_reason = True, reason
+        """Tap the sink's monitor from now on; without a reason, the streams."""
+        self._must_use_monitor, self.monitor_reason = bool(reason), reason
 
     def maintain(self, found: Source | Applications, device: Sink, now_s: float) -> bool:
         """Start, link and check the chain; return whether the chain plays.

@@ -113,11 +113,24 @@ class Page:
         for bank in self._page.banks:
             bank.controls.sound_gain = gain
 
-    def set_actuator(self, slot: int, gain: float, delay_frames: float) -> None:
-        """Set the gain, -1 to 1, and the delay in frames of the actuator with index `slot`."""
-        for bank in self._page.banks:
+    def set_actuator(
+        self, slot: int, gain: float, delay_frames: float, *, holds: bool = False
+    ) -> None:
+        """Set the gain, -1 to 1, and the delay in frames of the actuator with index `slot`.
+
+        holds: the design that plays keeps its gain if the new gain is larger.
+        """
+        for number, bank in enumerate(self._page.banks):
             controls = bank.controls.actuators[slot]
-            controls.gain, controls.delay_frames = gain, max(0.0, delay_frames)
+            holds_this = holds and number == self.playing % BANKS
+            if not holds_this or abs(gain) <= abs(controls.gain):
+                controls.gain = gain
+            controls.delay_frames = max(0.0, delay_frames)
+
+    @property
+    def delay_frames(self) -> float:
+        """The longest delay of an actuator in frames."""
+        return max(float(one.delay_frames) for one in self.controls.actuators)
 
     def set_audible(self, audible: bool) -> None:
         """Fade the vibration of all actuators in or out within 40 ms."""

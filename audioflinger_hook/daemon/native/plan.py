@@ -46,16 +46,7 @@ class ChainPlan:
             routed = tuple(range(outputs))
         # As in the Python engine, the mix alone needs no weights.
         mixed = () if sources in ((), ("mix",)) else sources
-        drives = tuple(
-            (
-                one.rig or settings.rig,
-                one.damping or settings.damping,
-                one.protection or settings.protection,
-                one.exposure_cap or settings.exposure_cap,
-            )
-            for one in settings.actuators or (settings,)
-        )
-        parameters = settings.transform_parameters
+        parameters, drives = settings.transform_parameters, drives_of(settings)
         return cls(samplerate, tap.channels, mixed, outputs, routed, parameters, drives)
 
     @property
@@ -96,6 +87,19 @@ class ChainPlan:
             drives=[drive for drive in drives for _ in range(self.columns)],
             delay_frames_max=round(DELAY_MAX_S * self.samplerate),
         )
+
+
+def drives_of(settings: Settings) -> tuple[tuple[str, str, str, str], ...]:
+    """Return `ChainPlan.drives` for settings."""
+    return tuple(
+        (
+            one.rig or settings.rig,
+            one.damping or settings.damping,
+            one.protection or settings.protection,
+            one.exposure_cap or settings.exposure_cap,
+        )
+        for one in settings.actuators or (settings,)
+    )
 
 
 LONGEST_WAIT_S = 60.0  # longest wait for the next attempt after a failure

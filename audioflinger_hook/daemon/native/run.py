@@ -46,12 +46,15 @@ class NativeRun:
         self._played_s = -QUIET_S
         self._offset_s = 0.0
         self._volume_of: tuple[PulseConnection, int] | None = None
+        self._has_monitor = True
         self.engine: NativeEngine | None = None
         self.begin()
 
     def begin(self) -> None:
         """Forget earlier failures."""
         self.problem = self._monitor_reason = ""
+        if self.engine is not None:
+            self.engine.use_monitor("")
         self._failures, self._failed_s = 0, 0.0
         self._seen_s: float | None = None
         self._began_s: float | None = None
@@ -81,6 +84,7 @@ class NativeRun:
         """Keep the engine running; raise nothing. sound_gains: for streams, for a monitor."""
         assert isinstance(source, (Source, Applications))
         assert isinstance(device, Sink)
+        self._has_monitor = isinstance(source, Source)
         try:
             engine = self._opened()
             self._set_volume(device, connection, volume)
@@ -97,7 +101,7 @@ class NativeRun:
             engine, tap_of(source, self._config.rules, self._config.left_out), device, now_s
         )
         self._note_start(engine, plays, now_s)
-        if players or engine.is_fed:
+        if engine.is_fed or (players and engine.monitor_reason):  # others may be left out
             self._played_s = now_s
         if plays:
             quiet = now_s - self._played_s > QUIET_S
@@ -153,7 +157,7 @@ class NativeRun:
         if not lost or self._failures >= FAILURES_MAX:
             self._give_up(f"the native engine failed: {error}", now_s)
         elif self._failures == FAILURES_MAX - 1:
-            self._use_monitor(f"the native engine failed: {error}")
+            self._use_monitor(f"the native engine failed: {error}", now_s)
 
     def _give_up(self, problem: str, now_s: float) -> None:
         """Switch to the Python engine, or try again if only the native engine is allowed."""
@@ -164,7 +168,11 @@ class NativeRun:
         else:
             self.problem = problem
 
-    def _use_monitor(self, reason: str) -> None:
+    def _use_monitor(self, reason: str, now_s: float) -> None:
+        """Tap the monitor; give up if applications are chosen, which a monitor cannot do."""
+        if not self._has_monitor:
+            self._give_up(reason, now_s)
+            return
         self._monitor_reason = reason
         if self.engine is not None:
             self.engine.use_monitor(reason)
@@ -189,5 +197,5 @@ class NativeRun:
             if engine.monitor_reason:
                 self._give_up(problem, now_s)
             else:
-                self._use_monitor(problem)
+                self._use_monitor(problem, now_s)
                 self._states.enter(self._states.state, now_s, f"{problem}; trying the monitor")

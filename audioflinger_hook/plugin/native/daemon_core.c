@@ -11,7 +11,7 @@
 #include <unistd.h>
 
 #define PIECE_FRAMES 1024
-#define HEARS_S 0.2 /* sound that a new core processes before it is audible; no onset is then new to it */
+#define HEARS_S 0.2 /* sound that a new core plays before it is audible; no onset is then new to it */
 #define FADE_S 0.04 /* cross-fade to the new core */
 
 struct DaemonCore {
@@ -20,6 +20,7 @@ struct DaemonCore {
     NumberedCore *core;      /* the audible core; not loaded: silence */
     NumberedCore *following; /* the next core, or NULL */
     size_t heard;            /* frames that `following` has processed */
+    size_t hears;            /* frames that it processes before it is audible */
     double samplerate;
     CoreControls controls; /* defaults for use without a page: all actuators are audible */
     float sound[PIECE_FRAMES * DAEMON_INPUTS];
@@ -138,20 +139,32 @@ static float signal_at(Signals signals, size_t output, size_t frame)
     return output < signals.count ? signals.at[frame * signals.count + output] : 0.0f;
 }
 
+/* Take the next core, if there is one. It first fills its delay lines, then processes HEARS_S of sound. */
+static void take_following(DaemonCore *daemon)
+{
+    daemon->following = design_loader_take(daemon->loader);
+    if (!daemon->following)
+        return;
+    const CoreControls *controls = &daemon->page->banks[daemon->following->number % PAGE_BANKS].controls;
+    double delay = 0.0;
+    for (size_t which = 0; which < daemon->following->loaded.info.actuators; which++)
+        delay = fmax(delay, controls->actuators[which].delay_frames);
+    daemon->heard = 0;
+    daemon->hears = (size_t)(HEARS_S * daemon->samplerate + delay);
+}
+
 /* Return how much of `following` is audible in a frame of this piece, 0 to 1. */
 static float share_of_following(const DaemonCore *daemon, size_t frame)
 {
-    const double heard_s = (double)(daemon->heard + frame + 1) / daemon->samplerate;
-    return (float)smooth_step(clip((heard_s - HEARS_S) / FADE_S, 0.0, 1.0));
+    const double after = (double)(daemon->heard + frame + 1) - (double)daemon->hears;
+    return (float)smooth_step(clip(after / (FADE_S * daemon->samplerate), 0.0, 1.0));
 }
 
 static void process_piece(DaemonCore *daemon, float *const *inputs, float *const *outputs, size_t first,
                           size_t frames)
 {
-    if (daemon->loader && !daemon->following) {
-        daemon->following = design_loader_take(daemon->loader);
-        daemon->heard = 0;
-    }
+    if (daemon->loader && !daemon->following)
+        take_following(daemon);
     const int changes = daemon->following != NULL;
     const Signals now = process_core(daemon, daemon->core, inputs, daemon->signals, first, frames);
     const Signals next = !changes ? (Signals){NULL, 0}
@@ -166,7 +179,7 @@ static void process_piece(DaemonCore *daemon, float *const *inputs, float *const
             outputs[output][first + frame] = sample;
         }
     daemon->heard += frames;
-    if (changes && (double)daemon->heard >= (HEARS_S + FADE_S) * daemon->samplerate) {
+    if (changes && share_of_following(daemon, 0) >= 1.0f) {
         design_loader_return(daemon->loader, daemon->core);
         daemon->core = daemon->following;
         daemon->following = NULL;
