@@ -2,7 +2,6 @@
 
 #include "parts.h"
 #include "../../transform/native/exact.h"
-
 #include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -142,13 +141,11 @@ static float signal_at(Signals signals, size_t output, size_t frame)
 /* Take the next core, if there is one. It first fills its delay lines, then processes HEARS_S of sound. */
 static void take_following(DaemonCore *daemon)
 {
-    daemon->following = design_loader_take(daemon->loader);
-    if (!daemon->following)
-        return;
-    const CoreControls *controls = &daemon->page->banks[daemon->following->number % PAGE_BANKS].controls;
+    const NumberedCore *next = daemon->following = design_loader_take(daemon->loader);
+    const PageBank *bank = &daemon->page->banks[next ? next->number % PAGE_BANKS : 0];
     double delay = 0.0;
-    for (size_t which = 0; which < daemon->following->loaded.info.actuators; which++)
-        delay = fmax(delay, controls->actuators[which].delay_frames);
+    for (size_t which = 0; which < CORE_ACTUATORS; which++)
+        delay = fmax(delay, bank->controls.actuators[which].delay_frames);
     daemon->heard = 0;
     daemon->hears = (size_t)(HEARS_S * daemon->samplerate + delay);
 }
@@ -171,11 +168,10 @@ static void process_piece(DaemonCore *daemon, float *const *inputs, float *const
         : process_core(daemon, daemon->following, inputs, daemon->next_signals, first, frames);
     for (size_t output = 0; output < DAEMON_OUTPUTS; output++)
         for (size_t frame = 0; outputs[output] && frame < frames; frame++) {
-            float sample = signal_at(now, output, frame);
             const float share = changes ? share_of_following(daemon, frame) : 0.0f;
-            if (share > 0.0f)
-                sample = share < 1.0f ? sample + share * (signal_at(next, output, frame) - sample)
-                                      : signal_at(next, output, frame);
+            float sample = signal_at(share < 1.0f ? now : next, output, frame);
+            if (share > 0.0f && share < 1.0f)
+                sample += share * (signal_at(next, output, frame) - sample);
             outputs[output][first + frame] = sample;
         }
     daemon->heard += frames;

@@ -1,7 +1,6 @@
 /* Loads the designs that the daemon wants, while the host's audio thread continues. */
 
 #include "parts.h"
-
 #include <fcntl.h>
 #include <pthread.h>
 #include <stdio.h>
@@ -110,9 +109,7 @@ void design_loader_close(DesignLoader *loader)
 
 NumberedCore *design_loader_take(DesignLoader *loader)
 {
-    NumberedCore **offered = &loader->offered;
-    return __atomic_load_n(offered, __ATOMIC_RELAXED) ? __atomic_exchange_n(offered, NULL, __ATOMIC_ACQ_REL)
-                                                      : NULL;
+    return __atomic_exchange_n(&loader->offered, NULL, __ATOMIC_ACQ_REL);
 }
 
 /* The thread only ever empties the list, so the loop repeats at most once. */

@@ -1,12 +1,10 @@
 /* The plugin for general hosts: the core, then gain, delay and bypass. */
 
 #include "parts.h"
-
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-
 #include "../../transform/native/exact.h"
 
 #define GAIN_MIN_DB (-60.0)
