@@ -62,8 +62,7 @@ def test_a_call_that_is_closed_leaves_nothing():
     call = Call("it", time.monotonic(), time.sleep, 60.0)
     for _ in range(2):
         call.close()
-    assert call._process.returncode == -9
-    assert open_files() == before
+    assert (call._process.returncode, open_files()) == (-9, before)
 
 
 def test_without_python_a_call_cannot_start(monkeypatch):

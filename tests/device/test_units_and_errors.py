@@ -29,8 +29,7 @@ def test_only_what_is_not_finite_becomes_zero_and_the_rest_is_not_copied():
     assert finite_or_zero(sound)[0] is sound
     broken = np.array([1.0, np.nan, np.inf, -np.inf, 2.0])
     samples, replaced = finite_or_zero(broken)
-    assert samples.tolist() == [1.0, 0.0, 0.0, 0.0, 2.0]
-    assert replaced == 3
+    assert (samples.tolist(), replaced) == ([1.0, 0.0, 0.0, 0.0, 2.0], 3)
     assert np.isnan(broken[1])
 
 
@@ -42,5 +41,4 @@ EXIT_CODES |= {errors.InternalError: 5, errors.WriteError: 5}
 def test_an_error_knows_its_exit_code_and_is_one_line(kind, exit_code):
     error = kind("cannot write 'a\nb': no\r\n  room")
     assert isinstance(error, errors.CushionError)
-    assert error.exit_code == exit_code
-    assert str(error) == "cannot write 'a b': no room"
+    assert (error.exit_code, str(error)) == (exit_code, "cannot write 'a b': no room")

@@ -10,11 +10,8 @@ from audioflinger_hook.mixer.pcm import PcmFormat, decode
 from audioflinger_hook.mixer.pcm import encode as mixer_encode
 from device.stream.sample_format import Encoder, SampleFormat
 
-INTEGERS = {
-    SampleFormat.S16: PcmFormat.I16,
-    SampleFormat.S24_3: PcmFormat.I24,
-    SampleFormat.S32: PcmFormat.I32,
-}
+S16, S24, S32 = SampleFormat.S16, SampleFormat.S24_3, SampleFormat.S32
+INTEGERS = {S16: PcmFormat.I16, S24: PcmFormat.I24, S32: PcmFormat.I32}
 
 integers = pytest.mark.parametrize("sample_format", INTEGERS)
 samples = (

@@ -1,7 +1,5 @@
 """Names of USB devices: each leads to one device or to an error that says how to name one."""
 
-from pathlib import Path
-
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -16,11 +14,6 @@ DAC = "0d8c:0014"
 ids = st.from_regex(r"[0-9a-f]{4}", fullmatch=True)
 ports = st.from_regex(r"[1-9][0-9]?-[1-9](\.[1-9][0-9]?){0,4}", fullmatch=True)
 serials = st.text(min_size=1).filter(str.isprintable)
-
-
-@pytest.fixture
-def tree(tmp_path: Path) -> UsbTree:
-    return UsbTree(tmp_path)
 
 
 @given(ids, ids, st.just("") | serials, ports)
