@@ -141,12 +141,11 @@ def test_where_the_model_changes_the_motion_goes_on(rig, tolerance):
                 assert bend[at - 3 : at + 2].max() <= allowed * peak + 1.5 * np.median(bend)
 
 
+MODELS = st.sampled_from(["linear", "nonlinear"])
+
+
 @settings(max_examples=8, deadline=None)
-@given(
-    st.lists(st.integers(0, 9_600), max_size=9),
-    st.sampled_from(["linear", "nonlinear"]),
-    st.booleans(),
-)
+@given(st.lists(st.integers(0, 9_600), max_size=9), MODELS, st.booleans())
 def test_one_model_gives_the_same_bytes_however_the_signal_is_split(cuts, model, seat):
     volts, names = tones(6.0, times_of(FS, 0.2)), ("displacement_m", "acceleration_m_s2")
     whole, cut = (AdaptiveActuator(PAPER, FS, model=model, seat=seat) for _ in range(2))
@@ -196,10 +195,8 @@ def test_coil_and_magnet_warm_up_by_their_equations_in_steps_of_any_length(step_
 
     def slope(_, warm_k):
         onward_w = (warm_k[0] - warm_k[1]) / p.coil_k_per_w
-        return [
-            (10.0 - onward_w) / p.coil_j_per_k,
-            (onward_w - warm_k[1] / p.magnet_k_per_w) / p.magnet_j_per_k,
-        ]
+        magnet_w = onward_w - warm_k[1] / p.magnet_k_per_w
+        return [(10.0 - onward_w) / p.coil_j_per_k, magnet_w / p.magnet_j_per_k]
 
     solved = solve_ivp(slope, (0.0, step_s * steps), [0.0, 0.0], "LSODA", rtol=1e-10, atol=1e-10)
     assert [warm.coil_k, warm.magnet_k] == pytest.approx(solved.y[:, -1], rel=1e-7)
