@@ -22,9 +22,8 @@ from tests.support.sound_cards import ADAPTIVE, ASYNC
 
 
 def offer(formats, channels, rates, bits=0):
-    return UsbFormat(
-        1, 1, tuple(getattr(one, "value", one) for one in formats), channels, rates, bits
-    )
+    names = tuple(getattr(one, "value", one) for one in formats)
+    return UsbFormat(1, 1, names, channels, rates, bits)
 
 
 S16, S24, S32 = SampleFormat.S16, SampleFormat.S24_3, SampleFormat.S32

@@ -47,10 +47,8 @@ def test_it_plays_once_it_knows_both_sides_and_is_on_target_a_second_later():
     for seed in range(4):
         course = two_clocks(-300, 2 * MS, 8.0, seed=seed)
         assert np.abs(course.after(1.7)).max() < 0.44 * MS
-        locked = course.states.index(DelayState.LOCKED)
-        assert course.time_s[locked] < 4.5
-        settling = course.states.index(DelayState.SETTLING)
-        assert course.time_s[settling] < 0.75
+        assert course.time_s[course.states.index(DelayState.LOCKED)] < 4.5
+        assert course.time_s[course.states.index(DelayState.SETTLING)] < 0.75
 
 
 @EXHAUSTIVE

@@ -19,6 +19,7 @@ from tests.support.clocks import Side, run
 
 MS = 0.001
 BLOCK_S = 256 / 48_000
+EXHAUSTIVE = pytest.mark.exhaustive
 
 
 def tone_line(seconds, act=None, missing=range(0), hz=60.0):
@@ -86,7 +87,7 @@ class AsksEarly(Side):
             yield (early_s if first <= number < first + self.early else now_s), true_s
 
 
-EARLY = [(0.3, 5), *(pytest.param(at_s, 3, marks=pytest.mark.exhaustive) for at_s in (0.12, 5.0))]
+EARLY = [(0.3, 5), *(pytest.param(at_s, 3, marks=EXHAUSTIVE) for at_s in (0.12, 5.0))]
 
 
 @pytest.mark.parametrize(("at_s", "early"), EARLY)
@@ -123,20 +124,20 @@ def test_ten_stalls_leave_the_delay_that_the_first_one_left():
 
 
 @pytest.mark.parametrize(
-    "hz", [60.0, *(pytest.param(hz, marks=pytest.mark.exhaustive) for hz in (20.0, 250.0))]
+    "hz", [60.0, *(pytest.param(hz, marks=EXHAUSTIVE) for hz in (20.0, 250.0))]
 )
 @pytest.mark.parametrize(
     ("act", "missing"),
     [
-        ({}, range(200, 240)),
-        ({}, range(200, 201)),
-        ({200: DelayLine.flush}, range(0)),
-        ({200: lambda line: setattr(line, "offset_s", 0.05)}, range(0)),
+        (None, 40),
+        (None, 1),
+        (DelayLine.flush, 0),
+        (lambda line: setattr(line, "offset_s", 0.05), 0),
     ],
     ids=["starved", "one block missing", "flush", "jump"],
 )
 def test_nothing_clicks(act, missing, hz):
-    heard, _ = tone_line(2.5, act, missing, hz)
+    heard, _ = tone_line(2.5, {200: act} if act else {}, range(200, 200 + missing), hz)
     assert np.abs(heard).max() <= 1.0
     # The largest change of slope from frame to frame; a hard step of 0.8 has 0.8.
     assert np.abs(np.diff(heard, 2)).max() < 0.006

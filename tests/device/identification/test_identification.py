@@ -103,11 +103,10 @@ def test_a_spring_that_hardens_adds_orders_and_a_linear_one_adds_none():
     for recording in (linear, hardens):
         (third,) = (found for found in measure_distortion(recording) if found.order == 3)
         thirds.append(float(np.interp(30.0, third.frequencies_hz, third.share)))
-    assert thirds[1] > 5.0 * thirds[0]
-    assert thirds[1] > 3.0 * np.interp(30.0, third.frequencies_hz, third.floor)
+    floor = np.interp(30.0, third.frequencies_hz, third.floor)
+    assert thirds[1] > max(5.0 * thirds[0], 3.0 * floor)
     seconds = [assess_quality(one).harmonics[0].largest_share for one in (linear, hardens)]
-    assert seconds[0] < 0.001
-    assert 0.005 < seconds[1] < 0.15
+    assert seconds[0] < 0.001 < 0.005 < seconds[1] < 0.15
 
 
 @pytest.mark.exhaustive
@@ -226,10 +225,8 @@ def test_a_recording_that_is_none_is_refused():
 
 
 def test_a_sweep_out_of_range_is_refused_with_every_value():
-    with pytest.raises(UsageError) as caught:
+    with pytest.raises(UsageError, match=r"low_hz=0\.0.*high_hz=30000\.0.*duration_s=nan.*level=2"):
         Sweep(low_hz=0.0, high_hz=30_000.0, duration_s=math.nan, level=2.0)
-    for name in ("low_hz=0.0", "high_hz=30000.0", "duration_s=nan", "level=2.0"):
-        assert name in str(caught.value)
     with pytest.raises(UsageError, match=r"share=0\.3 of Xmax must be above 0, up to 0\.15"):
         SimulatedLaboratory(PAPER).sweep_at_excursion(SWEEP, 0.3)
     with pytest.raises(UsageError, match=r"describes no \[accelerometer\]"):

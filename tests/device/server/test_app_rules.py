@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -26,12 +27,11 @@ RULES = st.lists(ONE_RULE, max_size=3)
 
 def playing(index: int, *names: str, place: str | None = "desktop", **properties: str) -> Stream:
     """names: application, binary and role."""
-    known = dict(zip(("application", "binary", "role"), names, strict=False))
+    known: dict[str, Any] = dict(zip(("application", "binary", "role"), names, strict=False))
     where = {"desktop": 1, "haptic": 2, None: None}[place]
     tags = {name.replace("_", "."): value for name, value in properties.items()}
-    return stream(
-        index, where, place or "", **known, media="a song", process_id=999_999, properties=tags
-    )
+    known |= {"media": "a song", "process_id": 999_999, "properties": tags}
+    return stream(index, where, place or "", **known)
 
 
 FIREFOX = playing(1, "Firefox", "firefox-esr", application_id="org.mozilla.firefox")
@@ -61,11 +61,9 @@ RULES_OF = {
 }
 
 
-@pytest.mark.parametrize(
-    ("rule", "indexes"), [(rule, found) for found in RULES_OF for rule in RULES_OF[found]]
-)
-def test_a_rule_matches_whole_names_of_any_case(rule, indexes):
-    assert selected((rule,)) == indexes
+@pytest.mark.parametrize(("rule", "found"), [(one, n) for n in RULES_OF for one in RULES_OF[n]])
+def test_a_rule_matches_whole_names_of_any_case(rule, found):
+    assert selected((rule,)) == found
 
 
 def test_excluding_comes_before_including():
@@ -86,8 +84,7 @@ def test_a_rule_that_is_empty_or_of_an_unknown_kind_is_refused(rule):
 
 def test_a_name_with_a_colon_can_be_said():
     one = playing(1, "Radio: live")
-    found = AppRules(("application:Radio: live",)).select(playing_now(one))
-    assert found == (one,)
+    assert AppRules(("application:Radio: live",)).select(playing_now(one)) == (one,)
 
 
 @pytest.mark.parametrize(

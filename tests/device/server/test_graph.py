@@ -18,10 +18,8 @@ from tests.support.graphs import Item, desktop, gone, link, node, play, port
 
 def one_link(*pairs: LinkPair, made: Mapping[str, str] | None = None) -> Any:
     """One link from a monitor of `desk` to the chain's tap."""
-    links = frozenset(pairs or ((13, 41),))
-    return SimpleNamespace(
-        nodes=lambda _: {40}, links=lambda _: links, made_nodes=lambda: made or {}
-    )
+    known = {"links": lambda _: frozenset(pairs or ((13, 41),)), "made_nodes": lambda: made or {}}
+    return SimpleNamespace(nodes=lambda _: {40}, **known)
 
 
 def kept(*pairs: LinkPair) -> tuple[Graph, LinkKeeper, list[str]]:
@@ -183,8 +181,7 @@ def test_a_link_is_known_with_its_last_announced_line_however_the_pipe_cuts_it(p
     graph = announced(piece=piece)
     assert [one.pair for one in graph.links_of(10)] == [(71, 11)]
     assert graph.ports_of(70, "output_") == {"FL": 71}
-    assert graph.nodes[70].name == 'a "name" = '
-    assert not graph.is_described(70)
+    assert (graph.nodes[70].name, graph.is_described(70)) == ('a "name" = ', False)
 
 
 def test_what_is_described_late_does_not_undo_what_was_announced():
@@ -226,10 +223,9 @@ def test_a_missing_link_is_asked_for_again_until_it_comes():
         keeper.update(now_s)
     assert sent == ["create-link -1 13 -1 41 { link.passive=true object.linger=false }"] * 2
     graph.apply([link(70, 13, 41, graph)])
-    keeper.update(1.2)
-    keeper.update(1.4)
-    assert len(sent) == 2
-    assert keeper.are_there({(13, 41)})
+    for now_s in (1.2, 1.4):
+        keeper.update(now_s)
+    assert (len(sent), keeper.are_there({(13, 41)})) == (2, True)
 
 
 def test_any_other_link_of_our_nodes_is_removed():
@@ -286,12 +282,8 @@ def test_a_link_that_stays_paused_beside_an_active_one_is_made_again():
 def test_another_session_manager_is_known_by_its_serial_number_as_ids_come_back():
     graph = desktop()
     assert graph.session_manager is None
-    for serial, name in (
-        (81, "WirePlumber"),
-        (97, "WirePlumber"),
-        (99, "WirePlumber (main-alone)"),
-    ):
-        props = {"application.name": name, "object.serial": serial}
+    for serial, which in ((81, ""), (97, ""), (99, " (main-alone)")):
+        props = {"application.name": f"WirePlumber{which}", "object.serial": serial}
         graph.apply([{"id": 5, "type": "PipeWire:Interface:Client", "info": {"props": props}}])
         assert graph.session_manager == serial
     graph.apply([gone(5)])

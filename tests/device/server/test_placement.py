@@ -78,13 +78,11 @@ def test_events_of_others_silence_nothing():
 
 def test_a_microphone_is_never_the_device_of_a_tap_but_its_monitor_is():
     taps = (ours(MICROPHONE), ours(MONITOR, OTHER_STREAM, "tap"))
-    found = seen(OUR_SINK, source_outputs=taps)
     microphone = StreamPlacement("ours", "microphone", plays=False)
-    assert microphone.after_snapshot(found).hold is Hold.NO_DEVICE
-    monitor = StreamPlacement("tap", "speakers.monitor", plays=False)
-    assert monitor.after_snapshot(found).hold is Hold.FREE
-    any_source = replace(microphone, any_source=True)
-    assert any_source.after_snapshot(found).hold is Hold.FREE
+    of_monitor = StreamPlacement("tap", "speakers.monitor", plays=False)
+    placed = (microphone, of_monitor, replace(microphone, any_source=True))
+    holds = [one.after_snapshot(seen(OUR_SINK, source_outputs=taps)).hold for one in placed]
+    assert holds == [Hold.NO_DEVICE, Hold.FREE, Hold.FREE]
 
 
 @given(st.lists(st.sampled_from(["here", "there", "event", "lost"]), max_size=12))

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from device.server.snapshot import Sink, Source, Stream, decibels
+from device.server.snapshot import Stream, decibels
 from device.server.tap_volume import TapVolume, muted_sink
 from tests.support.snapshots import monitor, sink, snapshot, stream
 
@@ -17,9 +17,7 @@ def at(index: int, volume_db: float, **other: bool) -> Stream:
     return stream(index, 1, "desk", volume_db=volume_db, **other)
 
 
-def followed(
-    tap: TapVolume, *streams: Stream, sink: Sink = DESK, monitor: Source | None = MONITOR
-) -> float:
+def followed(tap, *streams, sink=DESK, monitor=MONITOR):
     players = {one.index for one in streams if not one.corked}
     return tap.follow(snapshot(sinks=(sink,), sink_inputs=streams), players, monitor)
 
