@@ -73,8 +73,7 @@ def test_kill_9_leaves_the_folder_as_it_was(tmp_path):
         assert child.stdout
         assert child.stdout.readline() == b"written\n"
         child.kill()
-    assert child.returncode == -signal.SIGKILL
-    assert listing(tmp_path) == {"out.wav": b"old"}
+    assert (child.returncode, listing(tmp_path)) == (-signal.SIGKILL, {"out.wav": b"old"})
 
 
 def test_no_file_stays_open(tmp_path, way):

@@ -91,15 +91,13 @@ def test_a_block_of_another_shape_is_refused(tmp_path):
 
 
 def test_the_first_of_close_and_abort_counts(tmp_path):
-    kept, discarded = (WavOutput(tmp_path / name, 48_000, 2) for name in ("kept", "discarded"))
-    kept.close()
-    discarded.abort()
-    for output in (kept, discarded):
-        output.abort()
-        output.close()
+    for name in ("close", "abort"):
+        output = WavOutput(tmp_path / name, 48_000, 2)
+        for ending in (getattr(output, name), output.abort, output.close):
+            ending()
         with pytest.raises(InternalError, match="closed"):
             output.write(noise(1))
-    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
+    assert [path.name for path in tmp_path.iterdir()] == ["close"]
 
 
 def test_memory_stays_flat(tmp_path):

@@ -51,8 +51,7 @@ def test_the_person_and_the_machine_are_hidden() -> None:
     ],
 )
 def test_what_a_helper_needs_stays(line: str) -> None:
-    shown = anonymous(line, {"haptic"}, PERSON)
-    assert shown == line.replace('"$USER - rtprio 20"', HIDDEN)
+    assert anonymous(line, {"haptic"}, PERSON) == line.replace('"$USER - rtprio 20"', HIDDEN)
 
 
 def test_the_values_of_a_config_are_hidden_and_its_keys_stay() -> None:

@@ -56,14 +56,12 @@ class SimulatedDevices:
         source = rig.amplifier.source_impedance_ohm
         kind = EddyActuator if rig.actuator.inductance_eddy_h else LinearActuator
         actuator = kind(rig.actuator, RATE, source)
-        names = self.inputs.names
+        names, rate = self.inputs.names, 1.0 + 1e-6 * self.drift_ppm
         names_of_all = ("acceleration", "current", "voltage", "loopback")
         history = {name: np.zeros(20 * RATE) for name in names_of_all}
         lost = dict(self.lost) if self.loses_always else self.lost
-        played, rows, number, adc, skipped = [], 0, 0, 0, 0
-        rate = 1.0 + 1e-6 * self.drift_ppm
+        played, rows, number, adc, skipped, after = [], 0, 0, 0, 0, AFTER
         exchange.begin()
-        after = AFTER
         while after:
             if exchange.ended.is_set():
                 after -= 1

@@ -13,6 +13,7 @@ from device.errors import NotFoundError
 
 CONTAINER, SCALE, LINEAR, RANGE, BOUNDS, BOUNDS_MUTE = range(6)
 SILENT_WHEN_LOWEST = 0x10000
+words_of_a_driver = st.lists(st.integers(0, (1 << 32) - 1) | st.integers(0, 40), max_size=24)
 
 
 def table(kind: int, *words: int) -> list[int]:
@@ -69,9 +70,6 @@ HOLDS_ITSELF = functools.reduce(lambda words, _: table(CONTAINER, *words), range
 def test_what_is_no_table_or_contradicts_itself_says_nothing(words):
     assert parse_decibels(words, 0, 100) is None
     assert parse_decibels(SOME_BOUNDS, 5, 5) is None
-
-
-words_of_a_driver = st.lists(st.integers(0, (1 << 32) - 1) | st.integers(0, 40), max_size=24)
 
 
 @given(words_of_a_driver, st.integers(-(1 << 31), 1 << 31), st.integers(0, 1 << 20))

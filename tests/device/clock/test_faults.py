@@ -20,6 +20,7 @@ from tests.support.clocks import Side, run
 MS = 0.001
 BLOCK_S = 256 / 48_000
 EXHAUSTIVE = pytest.mark.exhaustive
+EARLY = [(0.3, 5), *(pytest.param(at_s, 3, marks=EXHAUSTIVE) for at_s in (0.12, 5.0))]
 
 
 def tone_line(seconds, act=None, missing=range(0), hz=60.0):
@@ -87,9 +88,6 @@ class AsksEarly(Side):
             yield (early_s if first <= number < first + self.early else now_s), true_s
 
 
-EARLY = [(0.3, 5), *(pytest.param(at_s, 3, marks=EXHAUSTIVE) for at_s in (0.12, 5.0))]
-
-
 @pytest.mark.parametrize(("at_s", "early"), EARLY)
 def test_a_server_that_fills_its_buffers_late_does_not_leave_a_delay_that_nobody_sees(at_s, early):
     asks = AsksEarly(jitter_s=MS, seed=2, start_s=0.003, at_s=at_s, early=early)
@@ -123,17 +121,10 @@ def test_ten_stalls_leave_the_delay_that_the_first_one_left():
     assert np.abs(course.after(55.0)).max() < 0.25 * MS
 
 
-@pytest.mark.parametrize(
-    "hz", [60.0, *(pytest.param(hz, marks=EXHAUSTIVE) for hz in (20.0, 250.0))]
-)
+@pytest.mark.parametrize("hz", [60.0, *(pytest.param(n, marks=EXHAUSTIVE) for n in (20.0, 250.0))])
 @pytest.mark.parametrize(
     ("act", "missing"),
-    [
-        (None, 40),
-        (None, 1),
-        (DelayLine.flush, 0),
-        (lambda line: setattr(line, "offset_s", 0.05), 0),
-    ],
+    [(None, 40), (None, 1), (DelayLine.flush, 0), (lambda one: setattr(one, "offset_s", 0.05), 0)],
     ids=["starved", "one block missing", "flush", "jump"],
 )
 def test_nothing_clicks(act, missing, hz):

@@ -8,16 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device.drive.damping import (
-    CURRENT_DRIVE_OHM,
-    Damping,
-    Resonance,
-    burst_response,
-    choose_damping,
-    inverse_damping,
-    resonance_of,
-    undamped,
-)
+from device.drive import damping as damp
+from device.drive.damping import Damping, Resonance, burst_response, choose_damping, inverse_damping
 from device.errors import UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.actuator import LinearActuator
@@ -26,7 +18,7 @@ from tools.rig_driver import RigDriver
 
 ACTUATOR = PAPER.actuator
 STRONG = replace(ACTUATOR, force_factor_n_per_a=16.0)
-CURRENT = CURRENT_DRIVE_OHM
+CURRENT = damp.CURRENT_DRIVE_OHM
 EVERY = {
     "none": Damping(),
     "inverse": inverse_damping(ACTUATOR, 0.5),
@@ -36,7 +28,8 @@ EVERY = {
 
 def residual(p, damping, detuning=0.0):
     """Against undamped current drive of the same rig, equally detuned."""
-    return burst_response(p, damping, detuning=detuning).against(undamped(p, detuning=detuning))
+    plain = damp.undamped(p, detuning=detuning)
+    return burst_response(p, damping, detuning=detuning).against(plain)
 
 
 def worst_db(p, damping, detunings=(-0.1, 0.1)):
@@ -85,7 +78,7 @@ def test_zeros_on_the_true_poles_do_better_at_ten_percent_than_zeros_at_f0():
 
 @pytest.mark.parametrize("source", [0.0, 8.0, CURRENT])
 def test_the_resonance_is_where_the_actuator_rings(source):
-    ringing = resonance_of(ACTUATOR, source)
+    ringing = damp.resonance_of(ACTUATOR, source)
     actuator = LinearActuator(ACTUATOR, 48_000, source)
     x = actuator.move((1.0 + source) * np.eye(1, 4_800)[0]).displacement_m
     x = x[1_000:]  # the coil's own mode is gone: e^-66

@@ -41,8 +41,7 @@ def cut(signal, lengths):
 def test_an_actuator_without_wishes_gets_its_source_bit_for_bit_and_at_once():
     vibration = noise(9_000, 2)
     drive = Drive([RIGHT, LEFT], RATE)
-    assert drive.sources == ("left", "right")
-    assert drive.latency_frames == 0
+    assert (drive.sources, drive.latency_frames) == (("left", "right"), 0)
     assert np.array_equal(drive.process(vibration), vibration[:, ::-1])
 
 
@@ -134,8 +133,7 @@ def test_who_needs_no_protection_waits_for_those_who_do():
     ]
     drive = Drive(wanted, RATE)
     late = drive.latency_frames
-    assert late == 2 * round(0.002 * RATE)
-    assert drive.delays_frames == (0, 0, 80)
+    assert (late, drive.delays_frames) == (2 * round(0.002 * RATE), (0, 0, 80))
     vibration = 0.1 * noise(2_000, 1)
     out = np.concatenate([drive.process(vibration), drive.drain()])
     assert len(out) == 2_000 + late + 80, "the longest delay is drained, too"
@@ -228,8 +226,7 @@ def test_actuators_reach_the_channels_they_are_wired_to_and_others_stay_silent()
 def test_channels_go_by_the_names_that_the_device_has_for_them():
     positions = ("front-left", "front-right", "lfe")
     assert ChannelMap.of([["lfe"], [0]], 3, positions).sources == (1, None, 0)
-    assert channels_needed([["lfe"], [0, 4]]) == 5
-    assert channels_needed([["lfe"]]) == 1
+    assert (channels_needed([["lfe"], [0, 4]]), channels_needed([["lfe"]])) == (5, 1)
 
 
 @pytest.mark.parametrize(
@@ -337,8 +334,7 @@ def test_without_a_wish_the_drive_is_the_identity_without_a_copy(frames, channel
         out = drive.process(part)
         assert out is part
         assert out.tobytes() == before
-    assert drive.latency_frames == 0
-    assert drive.drain().shape == (0, channels)
+    assert (drive.latency_frames, drive.drain().shape) == (0, (0, channels))
 
 
 @pytest.mark.parametrize("asked", [{"protection": "on"}, {"damping": "auto"}])

@@ -11,19 +11,8 @@ from scipy.signal import sosfilt
 from device.drive.protection.limits import RESERVE, bounding_models, limits_of
 from device.rig import CONSUMER, PAPER
 from device.rig.electronics import Band
-from tests.support.possible_actuators import (
-    DRIVES,
-    FREE,
-    GROUND,
-    Possible,
-    excursion_sections,
-    linear_excursions,
-    non_linear_excursion,
-    possible_actuators,
-    search,
-    searched_drive,
-    strong,
-)
+from tests.support import possible_actuators as made
+from tests.support.possible_actuators import FREE, Possible, linear_excursions, strong
 from tools.rig_driver import RigDriver
 
 RATE = 8_000
@@ -31,6 +20,8 @@ LOUD = replace(PAPER, amplifier=replace(PAPER.amplifier, gain=20.0, current_limi
 STANDARD = pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=["paper", "consumer"])
 ACTUATORS = ((0.9, 1.1), (0.81, 1.21), (0.9, 1.1), (0.0, 3.0 - 1e-6))
 """Bounds of mass, stiffness and Bl, and which seat."""
+MOST = {True: 1.0, False: 1.1}
+"""Of Xmax, that the linear models may reach, and that the non-linear one may."""
 
 
 def worst(rig, stronger, linear, **effort):
@@ -43,24 +34,20 @@ def worst(rig, stronger, linear, **effort):
     silence = np.zeros((protector.latency_frames + RATE // 20, drives))
 
     def reached(tries):
-        waves = [searched_drive(rig.actuator.resonance_hz, RATE, each[:7]) for each in tries]
+        waves = [made.searched_drive(rig.actuator.resonance_hz, RATE, each[:7]) for each in tries]
         protector.reset()
         out = protector.process(np.concatenate([np.column_stack(waves), silence])).astype(float)
         if linear:
             assert protector.protection().infeasible_blocks == 0
-            possible = possible_actuators(rig)
+            possible = made.possible_actuators(rig)
             return np.max([linear_excursions(loud, one, out, RATE) for one in possible], axis=0)
         found = []
         for (mass, stiffness, bl, seat), column in zip(tries[:, 7:], out.T, strict=True):
-            one = Possible(mass, stiffness, bl, (GROUND, rig.seat, FREE)[int(seat)])
-            found.append(non_linear_excursion(loud, one, column, RATE))
+            one = Possible(mass, stiffness, bl, (made.GROUND, rig.seat, FREE)[int(seat)])
+            found.append(made.non_linear_excursion(loud, one, column, RATE))
         return np.array(found)
 
-    return search(reached, DRIVES if linear else DRIVES + ACTUATORS, **effort)
-
-
-MOST = {True: 1.0, False: 1.1}
-"""Of Xmax, that the linear models may reach, and that the non-linear one may."""
+    return made.search(reached, made.DRIVES if linear else made.DRIVES + ACTUATORS, **effort)
 
 
 def several(mark, stronger, drives, generations):
@@ -80,9 +67,7 @@ def several(mark, stronger, drives, generations):
         *(one for share in (1.5, 2.5, 4.0) for one in several(pytest.mark.soak, share, 64, 80)),
     ],
 )
-def test_no_drive_that_is_found_is_too_much(
-    rig, linear, stronger, drives, generations, seed, least
-):
+def test_no_drive_found_is_too_much(rig, linear, stronger, drives, generations, seed, least):
     effort = {"drives": drives, "generations": generations, "seed": seed}
     reached, found, tries = worst(rig, stronger, linear, **effort)
     print(f"{rig.name}, {stronger} Xmax: {tries} drives, {linear=}: {reached:.4f} by {found}")
@@ -106,7 +91,7 @@ def largest_inside_the_models(loud, possible_ones, rate):
 
     def matrix(possible):
         """The lower triangular matrix from a drive to what an actuator makes of it."""
-        sections = np.concatenate([band, excursion_sections(loud, possible, rate)])
+        sections = np.concatenate([band, made.excursion_sections(loud, possible, rate)])
         impulse = sosfilt(sections, np.eye(1, frames)[0])
         return volts * np.where(delay >= 0, impulse[np.abs(delay)], 0.0)
 
@@ -128,7 +113,7 @@ def largest_inside_the_models(loud, possible_ones, rate):
 def test_while_the_models_stay_inside_no_possible_actuator_is_beyond_xmax(rig, again):
     # The worst at the lower rate are looked at again with three times as many samples.
     loud, rate = strong(rig, 4.0), 2_000 if rig is PAPER else 1_000
-    found = largest_inside_the_models(loud, possible_actuators(rig), rate)
+    found = largest_inside_the_models(loud, made.possible_actuators(rig), rate)
     finer = largest_inside_the_models(loud, [one for _, one in found[:again]], 3 * rate)
     assert max(found[0][0], finer[0][0]) <= 1.0
 
@@ -146,8 +131,7 @@ def test_a_frame_that_moves_freely_makes_the_mass_lighter():
 def test_the_models_span_all_resonances_from_the_softest_to_a_stiffened_free_one(rig):
     models = bounding_models(rig.actuator, limits_of(rig), rig.amplifier.source_impedance_ohm)
     believed, *others = [model.resonance_hz / rig.actuator.resonance_hz for model in models]
-    assert believed == 1.0
-    assert others == sorted(others)
+    assert (believed, others) == (1.0, sorted(others))
     assert others[0] == pytest.approx(0.9 / math.sqrt(1.1))
     lightest = 0.9 * 0.57 / (0.57 + 0.9 * rig.actuator.moving_mass_kg)
     assert others[-1] == pytest.approx(1.1 * math.sqrt(1.375 / lightest))

@@ -32,6 +32,12 @@ LOUD = replace(PAPER, amplifier=replace(STRONG, gain=20.0))
 LOUDER = replace(PAPER, amplifier=replace(STRONG, gain=40.0, output_limit_v=30.0))
 STANDARD = pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=["paper", "consumer"])
 DETUNINGS = (-0.1, -0.075, -0.05, -0.025, 0.0, 0.025, 0.05, 0.075, 0.1)
+TIGHT = [
+    replace(rig, actuator=replace(rig.actuator, x_max_m=share * rig.actuator.x_max_m))
+    for rig, share in ((CONSUMER, 0.5), (CONSUMER, 0.3), (PAPER, 0.12))
+]
+"""Rigs with less room to move: what their amplifiers can drive them beyond."""
+DTYPES = st.sampled_from([np.float32, np.float64])
 
 
 def protect(rig, drive, samplerate=RATE, **options):
@@ -90,13 +96,6 @@ def test_a_tone_at_resonance_beyond_the_excursion_comes_up_to_it_and_no_further(
     edged, _ = protect(LOUD, tone(30.0, 0.2, samplerate, shape=square), samplerate)
     assert edged.protection().limited_blocks > 50
     assert [one.protection().infeasible_blocks for one in (protector, edged)] == [0, 0]
-
-
-TIGHT = [
-    replace(rig, actuator=replace(rig.actuator, x_max_m=share * rig.actuator.x_max_m))
-    for rig, share in ((CONSUMER, 0.5), (CONSUMER, 0.3), (PAPER, 0.12))
-]
-"""Rigs with less room to move: what their amplifiers can drive them beyond."""
 
 
 def reached_on_the_twin(rig, out):
@@ -165,9 +164,6 @@ def test_what_follows_a_loud_part_is_not_turned_down_for_long():
     end = len(drive) + protector.latency_frames
     assert np.array_equal(out[end - RATE : end], drive[-RATE:].astype(np.float32))
     assert protector.protection().least_gain < 0.7
-
-
-DTYPES = st.sampled_from([np.float32, np.float64])
 
 
 @settings(max_examples=25)

@@ -15,6 +15,7 @@ from tools.bench.sections.protection import drives
 from tools.bench.sounds.signals import SAMPLERATE
 
 MOST = {"excursion": 1.0, "current": 1.0, "coil_c": Limits.coil_temperature_c, "infeasible": 0}
+CAPS = pytest.mark.parametrize("cap", ["off", "action"])
 
 
 def check_limits(found, cap):
@@ -28,9 +29,6 @@ def check_limits(found, cap):
         assert all(one.gain < 1.0 for one in found)
         assert max(one.dose.vdv for one in found) < ACTION_VDV
         assert max(one.dose.a8_m_s2 for one in found) < ACTION_A8_M_S2
-
-
-CAPS = pytest.mark.parametrize("cap", ["off", "action"])
 
 
 @pytest.mark.parametrize(

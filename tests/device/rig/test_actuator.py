@@ -28,6 +28,10 @@ CASES = {
 }
 PARAMETERS = [replace(ACTUATOR, **changes) for changes in CASES.values()]
 RATES = [1_000, 8_000, 48_000, 192_000]
+EXTREMES = [math.nan, math.inf, -math.inf, 1.7e308, -1e101, 1e100, -1e100, 1e30, 5e-324, -0.0]
+
+
+ANY = st.lists(st.sampled_from(EXTREMES) | st.floats(), max_size=300).map(np.array)
 
 
 def physics(p, source_impedance_ohm):
@@ -142,12 +146,6 @@ def test_volts_are_not_changed_and_may_have_strides_or_be_float32():
     assert np.array_equal(table, before)
     plain = motion_of(LinearActuator(ACTUATOR, 48_000), table[:, 1].astype(np.float64))
     assert np.array_equal(strided, plain)
-
-
-EXTREMES = [math.nan, math.inf, -math.inf, 1.7e308, -1e101, 1e100, -1e100, 1e30, 5e-324, -0.0]
-
-
-ANY = st.lists(st.sampled_from(EXTREMES) | st.floats(), max_size=300).map(np.array)
 
 
 @given(ANY, st.sampled_from(PARAMETERS))

@@ -23,6 +23,7 @@ from tools.bench.sections.model_selection import block_errors
 EXHAUSTIVE = pytest.mark.exhaustive
 assert PAPER.thermal
 THERMAL = PAPER.thermal
+MODELS = st.sampled_from(["linear", "nonlinear"])
 
 
 def swell(duration_s=1.6):
@@ -139,9 +140,6 @@ def test_where_the_model_changes_the_motion_goes_on(rig, tolerance):
             peaks = [np.abs(row[max(0, at - 4_800) : at + 4_800]).max() for at in changes]
             for at, peak in zip(changes, peaks, strict=True):
                 assert bend[at - 3 : at + 2].max() <= allowed * peak + 1.5 * np.median(bend)
-
-
-MODELS = st.sampled_from(["linear", "nonlinear"])
 
 
 @settings(max_examples=8, deadline=None)

@@ -27,6 +27,7 @@ resistance_ohm = 4.0
 inductance_h = 1e-3
 x_max_m = 1e-3
 """
+VALUES = st.none() | st.floats() | st.integers() | st.text(max_size=3) | st.lists(st.integers())
 
 
 def refused(text):
@@ -153,9 +154,6 @@ def test_a_file_that_is_none_is_refused(tmp_path, content):
         (tmp_path / "rig.toml").write_bytes(content)
     with pytest.raises(UsageError, match=r"rig\.toml"):
         rig_by_name(str(tmp_path / "rig.toml"))
-
-
-VALUES = st.none() | st.floats() | st.integers() | st.text(max_size=3) | st.lists(st.integers())
 
 
 @given(st.data())

@@ -18,7 +18,7 @@ from device.rig.actuator import QUANTITIES, LinearActuator
 from device.rig.adaptive_actuator import STATE_NUMBERS, AdaptiveActuator, ModelDesign
 from device.rig.co_energy import Arctangent, Hardening, Line, Stops, Tanh, energies, linear_energies
 from device.rig.equations import Equations
-from tests.support.co_energy import stored_energy_j
+from tests.support.rig_soak import stored_energy_j
 from tools.bench.measures.solved_motion import solved_motion
 from tools.bench.sections.model_selection import hard_drives
 
@@ -26,6 +26,16 @@ FS = 48_000
 SEAT = "seat_acceleration_m_s2"
 assert PAPER.large_signal
 LARGE = PAPER.large_signal
+# White noise has a corner at every sample. Where a current settles within a sample, or where a hard
+# stop turns the motion round within some, a step sees less than a whole curve.
+LARGEST = {"white noise of 20 V": 1e-5, "hard stops, 100 V": 3e-5}
+LARGEST |= {"inductance of 1 uH": 2e-5, "current drive, 3300 ohm": 2e-6}
+Q_1000 = {"q_mechanical": 1_000.0, "force_factor_n_per_a": 0.5}
+SMALL_H = {"inductance_h": 1e-6}
+HARD = {"Q 1000": Q_1000, "1 uH": SMALL_H, "Q 1000 and 1 uH": Q_1000 | SMALL_H, "hard stops": {}}
+HARD |= {"overdamped": {"force_factor_n_per_a": 60.0, "inductance_h": 1e-4}}
+ENERGIES = energies(PAPER.actuator, PAPER.large_signal)
+SHAPES = [Line(10.0), Hardening(8e4, 2e10), Arctangent(10.0, 2.6e-3), Tanh(1e-3, 0.3, 1.5e-3)]
 
 
 def times_of(samplerate, duration_s):
@@ -58,12 +68,6 @@ def test_the_non_linear_model_solves_the_equations(rig, seat):
     # It is worth it: the linear model is far off at these levels.
     linear = AdaptiveActuator(rig, FS, model="linear", seat=seat).move(volts, names)
     assert errors(columns(linear, names), expected)[0] > 0.02
-
-
-# White noise has a corner at every sample. Where a current settles within a sample, or where a hard
-# stop turns the motion round within some, a step sees less than a whole curve.
-LARGEST = {"white noise of 20 V": 1e-5, "hard stops, 100 V": 3e-5}
-LARGEST |= {"inductance of 1 uH": 2e-5, "current drive, 3300 ohm": 2e-6}
 
 
 @pytest.mark.parametrize("name", hard_drives(0.03))
@@ -169,12 +173,6 @@ def test_the_linear_model_is_passive_on_random_drives():
     assert abs(surplus_j.sum()) <= 1e-6 * through_j
 
 
-Q_1000 = {"q_mechanical": 1_000.0, "force_factor_n_per_a": 0.5}
-SMALL_H = {"inductance_h": 1e-6}
-HARD = {"Q 1000": Q_1000, "1 uH": SMALL_H, "Q 1000 and 1 uH": Q_1000 | SMALL_H, "hard stops": {}}
-HARD |= {"overdamped": {"force_factor_n_per_a": 60.0, "inductance_h": 1e-4}}
-
-
 def hard_rig(case):
     large = replace(LARGE, stop_n_per_m2=1e12 if case == "hard stops" else 1.3e9)
     return replace(PAPER, actuator=replace(PAPER.actuator, **HARD[case]), large_signal=large)
@@ -251,10 +249,6 @@ def test_without_what_is_compiled_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setattr(blocks, "compiled", None)
     with pytest.raises(UsageError, match="install a C compiler"):
         AdaptiveActuator(PAPER, FS)
-
-
-ENERGIES = energies(PAPER.actuator, PAPER.large_signal)
-SHAPES = [Line(10.0), Hardening(8e4, 2e10), Arctangent(10.0, 2.6e-3), Tanh(1e-3, 0.3, 1.5e-3)]
 
 
 @pytest.mark.parametrize("shape", [*SHAPES, Stops(2.2e-3, 1.3e9)])

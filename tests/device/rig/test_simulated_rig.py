@@ -10,21 +10,18 @@ from hypothesis import strategies as st
 
 from device.errors import InternalError, UsageError, WriteError
 from device.output import VibrationOutput
-from device.rig import CONSUMER, PAPER
+from device.rig import CONSUMER, PAPER, electronics
 from device.rig.actuator import LinearActuator
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.electronics import (
-    ACCELERATION_FULL_SCALE_M_S2,
-    CONDITIONING_V_PER_M_S2,
-    Amplifier,
-    Dac,
-    InstrumentChain,
-)
+from device.rig.electronics import Amplifier, Dac, InstrumentChain
 from device.rig.parameters import AmplifierParameters, DacParameters
 from device.rig.simulated_rig import SimulatedRig
 from tests.support.outputs import KeptOutput
 
 FS = 48_000
+V_PER_M_S2 = electronics.CONDITIONING_V_PER_M_S2
+LOUD = replace(PAPER, amplifier=replace(PAPER.amplifier, gain=12.0, output_limit_v=50.0))
+"""The rig with a stronger amplifier: full scale is beyond the linear model."""
 
 
 def sine(frequency_hz, seconds=2.0, samplerate=FS):
@@ -77,8 +74,7 @@ def test_the_instruments_read_the_acceleration_within_their_noise():
         PAPER.daq.noise_v / chain.v_per_m_s2,
         20.0 / 2**16 / math.sqrt(12) / chain.v_per_m_s2,
     )
-    assert silent.std() == pytest.approx(expected, rel=0.03)
-    assert chain.clipped_samples == 0
+    assert (silent.std(), chain.clipped_samples) == (pytest.approx(expected, rel=0.03), 0)
 
 
 def test_what_is_beyond_an_instrument_is_clipped_and_counted():
@@ -103,10 +99,6 @@ def test_a_current_beyond_the_amplifiers_limit_is_counted():
     assert 0 < twin.overcurrent_samples < 4_800
     twin.reset()
     assert twin.overcurrent_samples == 0
-
-
-LOUD = replace(PAPER, amplifier=replace(PAPER.amplifier, gain=12.0, output_limit_v=50.0))
-"""The rig with a stronger amplifier: full scale is beyond the linear model."""
 
 
 @given(st.integers(8, 32), st.floats(-1, 1, width=32), st.floats(0.01, 10), st.sampled_from("fd"))
@@ -148,7 +140,7 @@ def test_steady_full_scale_vibration_at_90_hz_gives_the_acceleration_that_the_ri
     assert np.abs(last).max() == pytest.approx(89.1, abs=0.05)
     displacement_m = np.abs(last).max() / (math.tau * 90.0) ** 2
     assert displacement_m == pytest.approx(0.28e-3, abs=0.005e-3)
-    assert twin.peak_acceleration_m_s2 < ACCELERATION_FULL_SCALE_M_S2
+    assert twin.peak_acceleration_m_s2 < electronics.ACCELERATION_FULL_SCALE_M_S2
     # Driven from rest at its resonance the motion grows to the steady one; it hardly overshoots.
     assert twin.peak_displacement_m == pytest.approx(displacement_m, rel=0.1)
     assert twin.clipped_samples == 0
@@ -170,7 +162,7 @@ def test_the_twin_is_its_stages_one_after_the_other(tolerance):
         motions.append(actuator.move(column))
     accelerations = [motion.acceleration_m_s2 for motion in motions]
     assert np.array_equal(twin.acceleration_m_s2, np.column_stack(accelerations))
-    assert np.array_equal(recorder.whole, twin.acceleration_m_s2 * CONDITIONING_V_PER_M_S2)
+    assert np.array_equal(recorder.whole, twin.acceleration_m_s2 * V_PER_M_S2)
     assert twin.peak_current_a == max(np.abs(motion.current_a).max() for motion in motions)
     assert twin.clipped_samples > 0
 
@@ -197,7 +189,7 @@ def test_peaks_counts_and_record_do_not_depend_on_the_blocks(rig, tolerance, siz
         if tolerance:
             moved.append(twin.acceleration_m_s2)
         record = np.concatenate(recorder.blocks)
-        assert np.array_equal(np.concatenate(moved) * CONDITIONING_V_PER_M_S2, record)
+        assert np.array_equal(np.concatenate(moved) * V_PER_M_S2, record)
         assert len(record) == frames
         peaks = (twin.peak_acceleration_m_s2, twin.peak_displacement_m, twin.peak_current_a)
         assert np.isfinite(peaks).all()

@@ -40,10 +40,9 @@ def test_a_sink_without_a_monitor_gets_no_other_source():
 
 
 def test_a_default_sink_that_is_missing_or_haptic_is_refused():
-    with pytest.raises(NotFoundError, match="no default sink"):
-        default_monitor(server(""))
-    with pytest.raises(NotFoundError, match="feed back"):
-        default_monitor(server("haptic"), "haptic")
+    for default, words in (("", "no default sink"), ("haptic", "feed back")):
+        with pytest.raises(NotFoundError, match=words):
+            default_monitor(server(default), "haptic")
 
 
 @pytest.mark.parametrize(

@@ -38,6 +38,12 @@ def event(number: int, kind: str, facility: str, index: int) -> Event:
     return Event(facility, kind, index, number)
 
 
+def test_what_plays_to_a_sink_is_neither_paused_nor_on_another_sink() -> None:
+    playing, paused = stream(5, 1, "dac"), stream(6, 1, "dac", corked=True)
+    found = snapshot(sinks=(sink(1, "dac"),), sink_inputs=(playing, paused, stream(7, 2, "tv")))
+    assert (found.playing_to("dac"), found.playing_to(None)) == ([playing], [])
+
+
 PLACED = StreamPlacement("ours", "dac").after_snapshot(seen(OUR_SINK))
 
 

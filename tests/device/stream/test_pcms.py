@@ -45,8 +45,7 @@ def test_a_stream_with_another_role_is_not_taken_for_one_of_the_vibration(monkey
     with config.opening(config.pcms["one"], "tag-1", output=True):
         properties = dict(one.split("=") for one in os.environ["PULSE_PROP"].split())
     config.close()
-    assert properties.pop("media.role") == "test"
-    assert properties == {"node.dont-reconnect": "true"}
+    assert (properties.pop("media.role"), properties) == ("test", {"node.dont-reconnect": "true"})
 
 
 def test_children_read_the_same_configuration_and_no_file_stays_open():

@@ -11,6 +11,7 @@ from tests.support.programs import printed
 
 NICE = os.getpriority(os.PRIO_PROCESS, 0)
 UNPRIVILEGED = ("setpriv", "--bounding-set=-sys_nice", "--inh-caps=-sys_nice")
+WARNING = ".*rtprio 20.*/etc/security/limits.d/cushion.conf.*realtime = false.*"
 
 
 def told(program: str, *within: str) -> str:
@@ -56,9 +57,6 @@ needs_real_time = pytest.mark.skipif(not can_be_real_time(), reason="no real-tim
 def test_where_it_is_granted_only_the_thread_that_asks_has_it_and_may_not_spin():
     granted = f"real-time True 10 {NICE}; 0 {NICE}; (200000, 2000000)"
     assert told(CLAIM.format(wanted=True)) == granted
-
-
-WARNING = ".*rtprio 20.*/etc/security/limits.d/cushion.conf.*realtime = false.*"
 
 
 @pytest.mark.parametrize(

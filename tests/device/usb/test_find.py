@@ -38,8 +38,7 @@ def test_a_dac_behind_two_hubs_has_its_own_card_and_no_other_is_of_a_device(tree
     tree.plug("1-2.3", "05e3:0610", address=3, interfaces=[(9, 0)])
     tree.plug("1-2.3.1", address=4, card=2)
     tree.add_built_in_card(0)
-    assert tree.ports == ["1-2.3.1"]
-    assert tree.only.path == f"/{HOST}/usb1/1-2/1-2.3/1-2.3.1"
+    assert (tree.ports, tree.only.path) == (["1-2.3.1"], f"/{HOST}/usb1/1-2/1-2.3/1-2.3.1")
     assert [card.number for card in tree.only.cards] == [2]
 
 
@@ -165,8 +164,7 @@ def test_two_devices_that_change_places_while_one_is_read_are_never_mixed(tree, 
             tree.plug("1-2", "1209:dac1", serial="B1", address=6)
 
     before_reading(monkeypatch, exchange)
-    assert tree.devices == ()
-    assert (tree.only.vendor_id, tree.only.serial) == ("1209", "B1")
+    assert (tree.devices, tree.only.vendor_id, tree.only.serial) == ((), "1209", "B1")
 
 
 def test_what_may_not_be_read_or_listed_is_as_good_as_empty(tree, monkeypatch):
@@ -177,8 +175,7 @@ def test_what_may_not_be_read_or_listed_is_as_good_as_empty(tree, monkeypatch):
             raise PermissionError(13, "Permission denied")
 
     before_reading(monkeypatch, refuse)
-    assert (tree.only.descriptors, tree.only.serial) == (b"", "A42")
-    assert tree.only.cards[0].id == ""
+    assert (tree.only.descriptors, tree.only.serial, tree.only.cards[0].id) == (b"", "A42", "")
     listed = os.listdir
 
     def list_some(path):

@@ -121,5 +121,4 @@ def test_what_sys_has_is_not_asked_of_the_device(tree, monkeypatch):
 def test_descriptors_come_from_the_device_as_they_would_lie_in_sys(device, monkeypatch):
     backend = Backend()
     chosen(monkeypatch, backend)
-    assert read_descriptors(device) == DEVICE + CONFIGURATION
-    assert backend.closed == 1
+    assert (read_descriptors(device), backend.closed) == (DEVICE + CONFIGURATION, 1)

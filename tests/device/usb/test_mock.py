@@ -19,6 +19,9 @@ ROOT = Path(__file__).parents[3]
 SYSTEM_PYTHON = "/usr/bin/python3"
 CUSHION = (sys.executable, "-m", "audioflinger_hook")
 SHAPES = {1: headset_adapter, 2: plain_dac}
+versions = pytest.mark.parametrize("uac", [pytest.param(1, marks=pytest.mark.exhaustive), 2])
+NO_SUPERUSER = ("setpriv", "--bounding-set=-dac_override,-dac_read_search", "--inh-caps=-all", "--")
+"""Root may open everything, unless it is told not to."""
 
 
 def why_not() -> str:
@@ -80,9 +83,6 @@ def program(device: dict[str, Any], text: str, *arguments: str) -> Any:
     done = within([device], sys.executable, "-c", text, *arguments)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
-
-
-versions = pytest.mark.parametrize("uac", [pytest.param(1, marks=pytest.mark.exhaustive), 2])
 
 
 def test_two_alike_are_told_apart_by_their_ports_however_narrow_the_terminal():
@@ -231,8 +231,7 @@ def test_volumes_are_told_without_a_driver_or_when_taken_over(uac, bound):
     assert [volume["channel"] for volume in settings["volumes"]] == [1, 2]
     for volume in settings["volumes"]:
         assert (volume["db"], volume["lowest_db"], volume["highest_db"]) == (-8.0, -64.0, 0.0)
-    assert settings["mutes"] == [{"channel": 0, "muted": False}]
-    assert settings["samplerate"] == 44_100
+    assert (settings["mutes"], settings["samplerate"]) == ([{"channel": 0, "muted": False}], 44_100)
 
 
 @pytest.mark.exhaustive
@@ -336,10 +335,6 @@ def test_what_was_taken_is_given_back_also_by_one_who_is_killed(uac, ends, tmp_p
     for channel in (1, 2):
         values = [data for _, _, value, _, data in sets if value & 0xFF == channel]
         assert values == ["00e2", "00f8"]  # -30 dB, then -8 dB again
-
-
-NO_SUPERUSER = ("setpriv", "--bounding-set=-dac_override,-dac_read_search", "--inh-caps=-all", "--")
-"""Root may open everything, unless it is told not to."""
 
 
 @pytest.mark.exhaustive

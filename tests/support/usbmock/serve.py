@@ -126,13 +126,8 @@ class Plugged:
         for number, (of_class, subclass, protocol) in self.interfaces.items():
             attributes = f"bInterfaceNumber={number:02x} bInterfaceClass={of_class:02x}"
             attributes += f" bInterfaceSubClass={subclass:02x} bInterfaceProtocol={protocol:02x}"
-            text += _block(
-                f"{self.path}/{self.port}:1.{number}",
-                "usb",
-                *driver,
-                events="DEVTYPE=usb_interface",
-                attributes=attributes,
-            )
+            path, events = f"{self.path}/{self.port}:1.{number}", "DEVTYPE=usb_interface"
+            text += _block(path, "usb", *driver, events=events, attributes=attributes)
         if self.card is not None and self.bound:
             sound = f"{self.path}/{self.port}:1.0/sound/card{self.card}"
             link = f"L: device=../../../{self.port}:1.0"
@@ -205,9 +200,7 @@ class Plugged:
 
     def _submit(self, argument: Any) -> tuple[int, int]:
         urb = argument.resolve(0, 56)
-        kind, _endpoint, _status, _flags, _buffer, length = struct.unpack(
-            "<BBxxiIxxxxQi", bytes(urb.retrieve())[:28]
-        )
+        kind, length = struct.unpack("<B23xi", bytes(urb.retrieve())[:28])
         if kind != CONTROL_URB:
             return -1, errno.EINVAL
         buffer = urb.resolve(16, length)
@@ -218,11 +211,9 @@ class Plugged:
             return -1, errno.EBUSY
         asks = bool(request_type & 0x80)
         answer = self.dac.control(setup, b"" if asks else data[8:])
-        count = 0
-        if answer is not None:
-            count = len(answer) if asks else length - 8
-            if asks:
-                buffer.update(8, answer)
+        if answer is not None and asks:
+            buffer.update(8, answer)
+        count = 0 if answer is None else len(answer) if asks else length - 8
         urb.update(4, struct.pack("<i", -errno.EPIPE if answer is None else 0))
         urb.update(28, struct.pack("<i", count))
         self.done.append(urb)
