@@ -159,4 +159,5 @@ def test_what_is_no_motion_is_refused_and_nothing_is_moved(name, wrong):
     move: Callable[..., int] = blocks.require_compiled().linear_motion
     with pytest.raises((TypeError, ValueError, BufferError, OverflowError)):
         move(**(fitting | {name: wrong}))
-    assert (state.any(), moved.any(), move(**fitting), moved.any()) == (False, False, 0, True)
+    assert not np.any([state, moved[0]])
+    assert (move(**fitting), bool(moved.any())) == (0, True)

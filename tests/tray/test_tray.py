@@ -49,7 +49,8 @@ def bus_address(monkeypatch):
 
 
 async def asked(bus, to, member, signature, *body, of=MENU):
-    message = Message(to, *of, member, signature=signature, body=list(body))
+    path, interface = of
+    message = Message(to, path, interface, member, signature=signature, body=list(body))
     return (await asyncio.wait_for(bus.call(message), 5.0)).body
 
 

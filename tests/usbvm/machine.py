@@ -99,8 +99,8 @@ class Machine:
         shared = self._shared
         (shared / "orders").mkdir()
         bus, words = BUS_OF_QEMU if self._cards else BUS_OF_SOFTWARE, map("'{}'".format, command)
-        told = {"kernel": KERNEL, "bus": bus, "root": ROOT, "shared": shared}
-        (shared / "start").write_text(_START.format(**told, command=" ".join(words)))
+        inside = {"kernel": KERNEL, "bus": bus, "root": ROOT, "shared": shared}
+        (shared / "start").write_text(_START.format(**inside, command=" ".join(words)))
         deadline_s = time.monotonic() + limit_s
         with (shared / "qemu.log").open("wb") as log:
             process = subprocess.Popen(self._arguments(), stdout=log, stderr=log)

@@ -3,6 +3,7 @@
 import os
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -75,8 +76,8 @@ def test_an_input_is_found_by_its_cards_name_and_offers_its_own_formats(cards, t
     capture = alsa.find_capture("DAC", cards.root)
     assert (str(capture), capture.folder.name) == ("hw:DAC,0", "pcm0c")
     assert alsa.why_blocked(capture, tmp_path) is None
-    (found,) = getattr(read_usb_stream(capture), "formats", ())
-    assert found == UsbFormat(2, 1, ("S16_LE",), 1, Rates((8_000,)), 0, "SYNC")
+    stream: Any = read_usb_stream(capture)
+    assert stream.formats == (UsbFormat(2, 1, ("S16_LE",), 1, Rates((8_000,)), 0, "SYNC"),)
     cards.use(31, 77, "pcm0c")
     assert "hw:DAC,0 is in use" in (alsa.why_blocked(capture, tmp_path, tmp_path) or "")
     assert alsa.why_blocked(alsa.find_playback("DAC", cards.root), tmp_path) is None

@@ -35,7 +35,8 @@ def test_nothing_is_done_unless_somebody_asks_for_it():
     assert drive_design("paper", RATE) is None
     wanted: Any = {"damping": "auto", "exposure_cap": "limit"}
     asked, again = (drive_design("paper", RATE, **wanted) for _ in range(2))
-    assert asked is again is not None
+    assert asked is not None
+    assert asked is again
     assert (asked.damping, asked.exposure_cap) == (DAMPING, "limit")
 
 
@@ -62,7 +63,9 @@ def test_damping_makes_up_for_what_it_takes_and_says_what_remains():
     loud = RigDriver(PAPER, RATE, damping=DAMPING)
     loud.through(10.0 * vibration)
     assert loud.protection().least_gain < 0.6
-    assert (loud.strength_db or 0.0) < (damped.strength_db or 0.0) - 3.0
+    assert loud.strength_db is not None
+    assert damped.strength_db is not None
+    assert loud.strength_db < damped.strength_db - 3.0
     plain = RigDriver(PAPER, RATE)
     plain.through(vibration)
     assert (plain.makeup_db, plain.strength_db) == (0.0, None)

@@ -23,6 +23,7 @@ from tools.rig_driver import RigDriver
 
 DAMPING = inverse_damping(PAPER.actuator, 0.5)
 assert PAPER.large_signal
+LARGE = PAPER.large_signal
 RATE = 8_000
 # An amplifier that can drive the coil through its limits: 20 V where 13 V reach Xmax. Its current
 # is no limit here: that has tests of its own.
@@ -343,7 +344,7 @@ def test_the_limits_are_those_that_the_rig_describes():
     limits, amplifier = limits_of(CONSUMER), CONSUMER.amplifier
     assert limits.excursion_m == CONSUMER.actuator.x_max_m
     assert (limits.current_a, limits.stiffness_rise) == (amplifier.current_limit_a, 0.5)
-    soft = replace(PAPER, large_signal=replace(PAPER.large_signal, stiffness_rise=0.1))
+    soft = replace(PAPER, large_signal=replace(LARGE, stiffness_rise=0.1))
     assert limits_of(soft).stiffness_rise == 0.1
     assert limits_of(LOUD).current_a is None  # an amplifier without such a limit
 

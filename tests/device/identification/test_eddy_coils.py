@@ -7,7 +7,7 @@ import math
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ DEVICES = 100
 
 def calibrated(device: CoilRig, seed: int, sweep: Sweep) -> Calibration:
     """At 0.05 Xmax, with noise at -20 dB of every response."""
-    options = {"seat": device.seat, "snr_db": 20.0, "seed": seed, "move": device.move}
+    options: Any = {"seat": device.seat, "snr_db": 20.0, "seed": seed, "move": device.move}
     bench = SimulatedLaboratory(device.rig, **options)
     return calibrate(bench, device.rig, bench.sweep_at_excursion(sweep))
 

@@ -53,7 +53,7 @@ def test_a_device_only_for_midi_is_found_but_is_no_output(tree, card):
     tree.plug(interfaces=[CONTROL, MIDI], card=card, playback=(), product="Keys")
     assert not tree.only.plays
     with pytest.raises(NoUsbDeviceError, match="'C-Media Keys' in port 1-2"):
-        raise find_devices(tree.root).reason
+        raise find_devices(tree.root).reason  # type: ignore[misc]
 
 
 RECORDS = usb_builder.configuration(
@@ -93,12 +93,12 @@ def test_a_container_without_a_bus_is_told_from_an_empty_socket(tmp_path):
         (tree.sys / folder).mkdir(parents=True, exist_ok=True)
         assert tree.devices == ()
         with pytest.raises(NoUsbBusError, match="no USB bus is visible"):
-            raise find_devices(tree.root).reason
+            raise find_devices(tree.root).reason  # type: ignore[misc]
     (tree.root / "dev/bus/usb").mkdir(parents=True)
     for root in (tree.root, UsbTree(tmp_path / "empty").root):
         assert find_devices(root).devices == ()
         with pytest.raises(NoUsbDeviceError, match="no USB audio device is plugged in"):
-            raise find_devices(root).reason
+            raise find_devices(root).reason  # type: ignore[misc]
 
 
 def test_what_a_device_does_not_say_is_empty(tree):
