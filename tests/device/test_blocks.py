@@ -101,8 +101,7 @@ def test_what_does_not_fit_is_refused_and_nothing_is_read(name, wrong):
 
 @given(arrays.arrays(np.float32, st.tuples(st.integers(0, 300), st.integers(1, 3))))
 def test_an_emptied_block_gives_its_bytes_and_is_all_zero_unless_it_is_not_finite(frames):
-    before = frames.copy()
-    stored = blocks.emptied(frames)
+    before, stored = frames.copy(), blocks.emptied(frames)
     if np.isfinite(before).all():
         assert (stored, frames.any()) == (before.tobytes(), False)
     else:

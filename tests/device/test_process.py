@@ -9,6 +9,7 @@ import pytest
 
 from device.errors import LostError, UsageError
 from device.process import LIMIT_S, Call
+from tests.support.alsa_files import until
 from tests.support.commands import open_files
 
 
@@ -26,10 +27,7 @@ def fail() -> None:
 
 def result(function: Callable[..., object], *arguments: object) -> object:
     call = Call("damping", time.monotonic(), function, *arguments)
-    deadline_s = time.monotonic() + 20.0
-    while not call.is_over(time.monotonic()):
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
+    until(lambda: call.is_over(time.monotonic()), 20.0)
     return call.result()
 
 
@@ -57,8 +55,7 @@ def test_a_call_that_hangs_is_ended():
 
 
 def test_a_call_that_is_closed_leaves_nothing():
-    before = open_files()
-    call = Call("it", time.monotonic(), time.sleep, 60.0)
+    before, call = open_files(), Call("it", time.monotonic(), time.sleep, 60.0)
     for _ in range(2):
         call.close()
     assert (call._process.returncode, open_files()) == (-9, before)

@@ -37,8 +37,7 @@ def test_paths_and_quoted_names_are_hidden(line: str) -> None:
 
 
 def test_the_person_and_the_machine_are_hidden() -> None:
-    shown = anonymous("run as anna on annas-box", set(), PERSON)
-    assert shown == f"run as {HIDDEN} on {HIDDEN}"
+    assert anonymous("run as anna on annas-box", set(), PERSON) == f"run as {HIDDEN} on {HIDDEN}"
 
 
 @pytest.mark.parametrize(

@@ -46,8 +46,7 @@ def arrivals(seconds, *, ppm=0.0, block=BLOCK, burst=1, late_ms=3.0, lost=(), se
     lost: pairs of a time in seconds and frames that are missing from then on (negative: that
     came twice).
     """
-    generator = np.random.default_rng(seed)
-    count = int(seconds * RATE / block)
+    generator, count = np.random.default_rng(seed), int(seconds * RATE / block)
     due = -(-(1 + np.arange(count)) // burst) * burst  # a block comes with the last of its burst
     made = due * block / RATE * (1.0 + 1e-6 * ppm)
     frames = block * (1 + np.arange(count))
@@ -56,8 +55,7 @@ def arrivals(seconds, *, ppm=0.0, block=BLOCK, burst=1, late_ms=3.0, lost=(), se
     late = np.repeat(late, burst)[:count]
     for at_s, missing in lost:
         made[made > at_s] += missing / RATE
-    times = np.maximum.accumulate(1000.0 + made + late)
-    return times, frames.astype(np.intp)
+    return np.maximum.accumulate(1000.0 + made + late), frames.astype(np.intp)
 
 
 def worst_s(line, from_s, until_s, ppm=0.0, later_s=0.0):
@@ -108,8 +106,7 @@ def envelope(samples, *, delay_s=0.0, rate=RATE, ppm=0.0):
 
 def exact_line(count, delay_s=0.0, rate=RATE, ppm=0.0):
     frames = np.arange(rate, count + 1, rate // 100)
-    times = delay_s + frames / rate * (1.0 + 1e-6 * ppm)
-    return ArrivalLine(times, frames.astype(np.intp), rate)
+    return ArrivalLine(delay_s + frames / rate * (1.0 + 1e-6 * ppm), frames.astype(np.intp), rate)
 
 
 def rendered(sound):
@@ -268,8 +265,7 @@ def test_the_table_asks_its_limits_of_the_usual_blocks_only(monkeypatch, tmp_pat
 
 
 def test_records_of_before_pauses_were_watched_can_be_read(monkeypatch, tmp_path):
-    path = tmp_path / "old.json"
-    document = live_record.to_json([a_record()])
+    path, document = tmp_path / "old.json", live_record.to_json([a_record()])
     for name in ("machine_pauses", "machine_pause_ms"):
         del document["records"][0][name]
     path.write_text(json.dumps(document))

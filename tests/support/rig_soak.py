@@ -37,8 +37,7 @@ def soak_energy(model: Model, samples: int = SAMPLES) -> SoakRecord:
     must reach the same largest energy. Then the drive stops, and the energy only falls.
     """
     volts = steady_drive(min(LOOP_S, samples / SAMPLERATE))
-    moved = energy_of(model)
-    start_s = time.process_time()
+    moved, start_s = energy_of(model), time.process_time()
     loops = SETTLED_LOOPS + -(-samples // len(volts))
     peaks_j = np.array([moved(volts).max() for _ in range(loops)])[SETTLED_LOOPS:]
     creep = float(np.abs(peaks_j / peaks_j[0] - 1.0).max())

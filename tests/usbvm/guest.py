@@ -202,8 +202,7 @@ def pulled(folder: Path) -> dict[str, Any]:
     went_on_s = time.monotonic()
     plays_s = run.wait(lambda status: status["state"] == "running")
     time.sleep(3.0)
-    last = run.look()
-    real_time = count_real_time(run.process.pid)
+    last, real_time = run.look(), count_real_time(run.process.pid)
     run.end()
     return {
         "ports": [device["port"], again.port],

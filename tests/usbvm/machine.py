@@ -202,9 +202,7 @@ def first_files(folder: Path) -> Path:
         shutil.copy(path, root / f"modules/{number:02}-{Path(path).name}")
     (root / "init").write_text(_INIT)
     (root / "init").chmod(0o755)
-    names = "".join(
-        f"{name}\n" for name in sorted(str(p.relative_to(root)) for p in root.rglob("*"))
-    )
+    names = "".join(f"{path.relative_to(root)}\n" for path in sorted(root.rglob("*")))
     packing = ["cpio", "-o", "-H", "newc", "--quiet"]
     image = folder / "initrd.cpio"
     image.write_bytes(subprocess.check_output(packing, input=names.encode(), cwd=root))

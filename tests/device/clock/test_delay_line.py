@@ -98,8 +98,7 @@ BLOCKS: dict[str, Any] = {
 @pytest.mark.parametrize("name", BLOCKS)
 def test_the_target_is_the_sum_of_blocks_lateness_and_offset_and_is_kept(name):
     options, writer, reader, (target_s, tolerance_s, limit_s) = BLOCKS[name]
-    line = DelayLine(1, 48_000, 48_000, **options)
-    course = run(line, writer, reader, 30.0)
+    course = run(DelayLine(1, 48_000, 48_000, **options), writer, reader, 30.0)
     assert course.last.target_s == pytest.approx(target_s, abs=tolerance_s)
     assert course.last.delay_s == pytest.approx(course.last.target_s, abs=limit_s)
     assert np.abs(course.after(15.0)).max() < limit_s

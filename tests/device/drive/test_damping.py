@@ -155,8 +155,7 @@ def mark(seed):
     ],
 )
 def test_damping_is_never_worse_than_none_at_any_f0_within_a_fifth(rig, most_db):
-    source = rig.amplifier.source_impedance_ohm
-    shares = np.linspace(-0.2, 0.2, 7)
+    source, shares = rig.amplifier.source_impedance_ohm, np.linspace(-0.2, 0.2, 7)
     for by_mass in (False, True):
         assert worst_against_none(rig.actuator, source, shares, by_mass) <= most_db
 

@@ -16,17 +16,13 @@ from device.rig import CONSUMER, PAPER
 from device.rig.simulated_rig import SimulatedRig
 from tests.support.outputs import KeptOutput
 from tests.support.signals import tone
+from tests.support.taps import noise
 from tools.rig_driver import RigDriver
 
 RATE = 8_000
 FADE_S = 0.04
 LEFT = ActuatorSettings((0,), "left")
 RIGHT = ActuatorSettings((1,), "right")
-
-
-def noise(frames, columns, seed=1):
-    values = np.random.default_rng(seed).uniform(-0.5, 0.5, (frames, columns))
-    return values.astype(np.float32)
 
 
 def cut(signal, lengths):
@@ -39,8 +35,7 @@ def cut(signal, lengths):
 
 
 def test_an_actuator_without_wishes_gets_its_source_bit_for_bit_and_at_once():
-    vibration = noise(9_000, 2)
-    drive = Drive([RIGHT, LEFT], RATE)
+    vibration, drive = noise(9_000, 2), Drive([RIGHT, LEFT], RATE)
     assert (drive.sources, drive.latency_frames) == (("left", "right"), 0)
     assert np.array_equal(drive.process(vibration), vibration[:, ::-1])
 
@@ -48,8 +43,7 @@ def test_an_actuator_without_wishes_gets_its_source_bit_for_bit_and_at_once():
 def test_level_polarity_and_delay_are_those_asked_for():
     one = ActuatorSettings((0,), "mix", gain_db=-6.0, polarity="inverted", delay_ms=12.5)
     vibration = noise(3_000, 1)
-    out = Drive([one], RATE).process(vibration)
-    late = round(12.5e-3 * RATE)
+    out, late = Drive([one], RATE).process(vibration), round(12.5e-3 * RATE)
     assert not out[:late].any()
     expected = -(10.0 ** (-6.0 / 20.0)) * vibration[:-late].astype(float)
     np.testing.assert_allclose(out[late:], expected, atol=1e-7)  # float32 of what is below 0.5
@@ -97,12 +91,10 @@ def test_no_byte_depends_on_how_the_stream_is_cut_with_changes_in_it(
 )
 def test_a_change_makes_no_step_and_is_done_within_its_time(changed):
     wave = tone(60.0, 1.0, RATE, 0.5).astype(np.float32)
-    vibration = np.column_stack([wave, -wave])
-    drive = Drive([LEFT, RIGHT, LEFT], RATE)
+    vibration, drive = np.column_stack([wave, -wave]), Drive([LEFT, RIGHT, LEFT], RATE)
     before = drive.process(vibration[:4_001])
     drive.change([changed, RIGHT, LEFT])
-    after = drive.process(vibration[4_001:])
-    heard = np.concatenate([before, after])[:, 0].astype(float)
+    heard = np.concatenate([before, drive.process(vibration[4_001:])])[:, 0].astype(float)
     done = 4_001 + round(FADE_S * RATE)
     settled = Drive([changed, RIGHT, LEFT], RATE).process(vibration)[:, 0]
     np.testing.assert_allclose(heard[done:], settled[done:], atol=1e-7)
@@ -120,8 +112,7 @@ def test_of_several_changes_within_a_fade_the_last_one_stays():
         drive.process(wave[:10])
         drive.change([ActuatorSettings((0,), delay_ms=delay_ms)])
     drive.process(wave[:1_000])
-    heard = drive.process(wave[1_000:])
-    late = round(20e-3 * RATE)
+    heard, late = drive.process(wave[1_000:]), round(20e-3 * RATE)
     assert np.array_equal(heard[late:], wave[1_000:-late])
 
 
@@ -163,8 +154,7 @@ def test_each_has_the_rig_and_the_care_of_its_own():
 
 @pytest.mark.parametrize(("gain_db", "is_limited"), [(0.0, True), (-40.0, False)])
 def test_protection_sees_what_is_left_after_the_level(gain_db, is_limited):
-    one = ActuatorSettings((0,), rig="consumer", protection="on", gain_db=gain_db)
-    drive = Drive([one], RATE)
+    drive = Drive([ActuatorSettings((0,), rig="consumer", protection="on", gain_db=gain_db)], RATE)
     drive.process(tone(45.0, 0.5, RATE).astype(np.float32)[:, None])
     (processor,) = drive.processors
     assert processor is not None
@@ -222,8 +212,7 @@ def test_actuators_reach_the_channels_they_are_wired_to_and_others_stay_silent()
     # Without wiring they repeat.
     assert ChannelMap.repeated(2, 5) == ChannelMap(2, (0, 1, 0, 1, 0))
 
-
-def test_channels_go_by_the_names_that_the_device_has_for_them():
+    # Channels may go by the names that the device has for them.
     positions = ("front-left", "front-right", "lfe")
     assert ChannelMap.of([["lfe"], [0]], 3, positions).sources == (1, None, 0)
     assert (channels_needed([["lfe"], [0, 4]]), channels_needed([["lfe"]])) == (5, 1)
@@ -270,8 +259,7 @@ def test_files_have_what_each_channel_would_get_under_its_sound_and_as_long_as_i
         ActuatorSettings((0,), "right", polarity="inverted"),
     ]
     channel_map = ChannelMap.of([actuator.channels for actuator in wanted], 3)
-    kept = KeptOutput(RATE, 3)
-    drive = Drive(wanted, RATE)
+    kept, drive = KeptOutput(RATE, 3), Drive(wanted, RATE)
     output = DrivenOutput(AlignedOutput(kept, drive.latency_frames), drive, channel_map)
     vibration = 0.1 * noise(1_000, 2)
     for part in cut(vibration, [300, 77]):
@@ -330,8 +318,7 @@ def test_without_a_wish_the_drive_is_the_identity_without_a_copy(frames, channel
     drive = Drive((), RATE, channels)
     bits = np.random.default_rng(seed).integers(0, 2**32, (frames, channels), np.uint32)
     for part in cut(bits.view(np.float32), lengths):  # any bits: infinities and NaNs too
-        before = part.tobytes()
-        out = drive.process(part)
+        before, out = part.tobytes(), drive.process(part)
         assert out is part
         assert out.tobytes() == before
     assert (drive.latency_frames, drive.drain().shape) == (0, (0, channels))

@@ -99,8 +99,7 @@ def test_it_says_how_much_is_extrapolated():
 def gain_after(a8_m_s2, vdv, cap):
     """The gain of a cap after a day of these, before anything is driven."""
     driven = RigDriver(PAPER, 8_000, exposure_cap=cap)
-    dose = DoseSums(1.0, a8_m_s2**2 * DAY_S, vdv**4)
-    driven.restore([SafetyState(20.0, 20.0, dose)])
+    driven.restore([SafetyState(20.0, 20.0, DoseSums(1.0, a8_m_s2**2 * DAY_S, vdv**4))])
     driven.process(np.zeros((1, 1)))
     return driven.exposure_gain
 
@@ -151,11 +150,9 @@ def test_a_decimated_stream_keeps_what_is_low_and_folds_nothing_onto_it():
 @pytest.mark.parametrize("samplerate", RATES)
 @pytest.mark.parametrize("frequency_hz", [20.0, 40.0, 80.0])
 def test_the_meter_shows_what_actuator_and_formula_give(samplerate, frequency_hz):
-    meter = RigDriver(BARE, samplerate)
-    amplitude = 0.5
+    meter, amplitude = RigDriver(BARE, samplerate), 0.5
     meter.process(tone(frequency_hz, amplitude, 6.0, samplerate))
-    p = PAPER.actuator
-    s = 2j * math.pi * frequency_hz
+    p, s = PAPER.actuator, 2j * math.pi * frequency_hz
     impedance = p.resistance_ohm + s * p.inductance_h
     spring = p.moving_mass_kg * s**2 + p.damping_n_s_per_m * s + p.stiffness_n_per_m
     back = p.force_factor_n_per_a**2 * s

@@ -120,8 +120,7 @@ def test_while_the_models_stay_inside_no_possible_actuator_is_beyond_xmax(rig, a
 
 def test_a_frame_that_moves_freely_makes_the_mass_lighter():
     drive = np.sin(math.tau * 85.0 * np.arange(2_400) / RATE)[:, None]
-    mass = PAPER.actuator.moving_mass_kg
-    lighter = Possible(mass=FREE.mass_kg / (FREE.mass_kg + mass))
+    lighter = Possible(mass=FREE.mass_kg / (FREE.mass_kg + PAPER.actuator.moving_mass_kg))
     free = linear_excursions(LOUD, Possible(seat=FREE), drive, RATE)
     # The board's own 2 Hz are the difference.
     assert free == pytest.approx(linear_excursions(LOUD, lighter, drive, RATE), rel=2e-3)

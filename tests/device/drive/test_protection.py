@@ -175,8 +175,7 @@ def test_music_at_normal_level_leaves_bit_for_bit(seed, dtype, rig):
         rng.uniform(0, 0.2) * tone(rng.uniform(20, 220), 0.3) * (tone(rng.uniform(1, 8), 0.3) > 0)
         for _ in range(5)
     )
-    music = np.asarray(music, dtype)[:, None]
-    protector = RigDriver(rig, RATE, 1)
+    music, protector = np.asarray(music, dtype)[:, None], RigDriver(rig, RATE, 1)
     assert np.array_equal(protector.through(music), music.astype(np.float32))
     assert protector.protection().limited_blocks == 0
     protector.reset()
@@ -196,8 +195,7 @@ def test_the_delay_is_two_blocks_and_declared():
 
 @pytest.mark.parametrize("damping", [None, DAMPING], ids=["plain", "damped"])
 def test_what_is_over_full_scale_is_turned_down_without_a_corner(damping):
-    drive = 4.0 * tone(50.0, 0.5)
-    protector, out = protect(PAPER, drive, damping=damping)
+    protector, out = protect(PAPER, 4.0 * tone(50.0, 0.5), damping=damping)
     level = protector.limits.level
     assert 0.9 * level < np.abs(out).max() <= level * (1 + 1e-6)
     # Clipping would leave frames at the limit one beside the other.
@@ -210,8 +208,7 @@ def test_what_is_over_full_scale_is_turned_down_without_a_corner(damping):
 @pytest.mark.parametrize("shape", [np.sin, square])
 def test_the_current_stays_under_its_limit(shape):
     limits = Limits(excursion_m=1.5e-3, current_a=3.0)
-    drive = tone(150.0, 0.3, shape=shape)
-    protector, out = protect(LOUD, drive, limits=limits)
+    protector, out = protect(LOUD, tone(150.0, 0.3, shape=shape), limits=limits)
     for share in (-0.1, -0.05, 0.0, 0.05, 0.1):
         actuator = LinearActuator(detune(LOUD.actuator, share), RATE)
         current_a = np.abs(actuator.move(volts_of(LOUD, out, RATE)).current_a).max()
@@ -224,8 +221,7 @@ def test_the_current_stays_under_its_limit(shape):
 def test_the_coil_comes_up_to_its_limit_and_stays_there():
     # 40 V into 3.3 ohm at 160 Hz, where nothing else limits much; a small coil to save time
     rig = replace(LOUDER, thermal=ThermalParameters(4.0, 0.4, 3.0, 400.0))
-    limits = replace(limits_of(rig), coil_temperature_c=60.0)
-    protector = RigDriver(rig, 6_000, 1, limits=limits)
+    protector = RigDriver(rig, 6_000, 1, limits=replace(limits_of(rig), coil_temperature_c=60.0))
     drive = 0.7 * tone(160.0, 1.0, 6_000)
     # The last block may still heat by what it was promised: some hundredths of a kelvin.
     assert warmest_c(protector, [drive] * 12) <= 60.2
@@ -240,8 +236,7 @@ def test_a_drive_that_no_other_limit_touches_still_comes_up_to_the_temperature_o
     warmest = {}
     for limit_c in (27.0, 120.0):
         limits = replace(limits_of(rig), coil_temperature_c=limit_c)
-        protector = RigDriver(rig, 6_000, 1, limits=limits)
-        warmest[limit_c] = warmest_c(protector, np.split(drive, 100))
+        warmest[limit_c] = warmest_c(RigDriver(rig, 6_000, 1, limits=limits), np.split(drive, 100))
     assert warmest[120.0] > 29.0
     assert warmest[27.0] < 27.1
 
@@ -261,8 +256,7 @@ def test_a_burst_after_a_long_pause_heats_a_hot_coil_no_further():
     # A coil that hardly cools: after 40 s the wanted power is forgotten, but the heat is there. One
     # block of this drive heats it by 7 K; halved once, by 1.8 K, and again in each later block.
     rig = replace(LOUDER, thermal=ThermalParameters(1e6, 0.05, 3.0, 400.0))
-    limits = replace(limits_of(rig), coil_temperature_c=60.0)
-    protector = RigDriver(rig, 6_000, 1, limits=limits)
+    protector = RigDriver(rig, 6_000, 1, limits=replace(limits_of(rig), coil_temperature_c=60.0))
     drive = tone(160.0, 12.0, 6_000)
     assert warmest_c(protector, [drive]) > 59.8
     protector.process(np.zeros((240_000, 1)))
@@ -272,17 +266,14 @@ def test_a_burst_after_a_long_pause_heats_a_hot_coil_no_further():
 def capped(rig, samplerate, used):
     """A protector with an exposure cap on a day of which this share of the dose is used up."""
     protector = RigDriver(rig, samplerate, 1, exposure_cap="action")
-    dose = DoseSums(squares=used * ACTION_A8_M_S2**2 * DAY_S)
-    protector.restore([SafetyState(20.0, 20.0, dose)])
+    protector.restore([SafetyState(20.0, 20.0, DoseSums(squares=used * ACTION_A8_M_S2**2 * DAY_S))])
     return protector
 
 
 def test_the_gain_of_the_exposure_cap_is_kept():
     used = 1.0 - 0.25**2 / 2.0  # of the dose: half of it is free, and the rest allows 0.25
-    protector = capped(PAPER, RATE, used)
-    drive = 0.5 * tone(50.0, 0.5)[:, None]
-    out = protector.process(drive)
-    latency = protector.latency_frames
+    protector, drive = capped(PAPER, RATE, used), 0.5 * tone(50.0, 0.5)[:, None]
+    out, latency = protector.process(drive), protector.latency_frames
     expected = 0.25 * drive[RATE // 4 - latency : RATE // 2 - latency, 0]
     # What is added meanwhile lowers the gain a little.
     np.testing.assert_allclose(out[RATE // 4 : RATE // 2, 0], expected, rtol=1e-3, atol=1e-7)

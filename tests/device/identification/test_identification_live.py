@@ -26,6 +26,8 @@ from tests.support.simulated_devices import BLOCK, RATE, SimulatedDevices
 from tools.rig_driver import RigDriver
 
 EXHAUSTIVE = pytest.mark.exhaustive
+MODES: dict[Any, Any] = {}
+"""The modes by what they were identified from."""
 
 SCALES = {"full_scale_v": 1.0, "acceleration_v_per_m_s2": 0.005}
 SCALES |= {"shunt_ohm": 0.1, "voltage_ratio": 20.0}
@@ -58,22 +60,15 @@ def calibrated(devices, rig=PAPER, sweep=SWEEP, inputs=None, **options):
     return calibrate(laboratory, rig, sweep, **options)
 
 
-@pytest.fixture(scope="module")
-def modes():
-    """The modes by what they were identified from."""
-    return {}
-
-
 @pytest.fixture
-def fitted_once(modes, monkeypatch):
+def fitted_once(monkeypatch):
     """Recordings of the same bytes are fitted once in all tests: their files' coils differ."""
-    fit = acceleration.identify_mode
 
     def identify_mode(recording, x_max_m, **options):
         known = recording.reference.tobytes(), recording.response.tobytes(), x_max_m, str(options)
-        if known not in modes:
-            modes[known] = fit(recording, x_max_m, **options)
-        return modes[known]
+        if known not in MODES:
+            MODES[known] = acceleration.identify_mode(recording, x_max_m, **options)
+        return MODES[known]
 
     monkeypatch.setattr(calibration, "identify_mode", identify_mode)
 
@@ -105,8 +100,7 @@ def test_acceleration_current_and_voltage_give_the_whole_actuator_in_its_file(ri
     for parameter, estimate in found.values.items():
         stage, name = parameter.split(".")
         true = getattr(getattr(rig, stage), name)
-        limit = 0.005 if name == "resonance_hz" else 0.02
-        assert estimate.value == pytest.approx(true, rel=limit)
+        assert estimate.value == pytest.approx(true, rel=0.005 if name == "resonance_hz" else 0.02)
         assert estimate.low <= true <= estimate.high
         assert getattr(getattr(again, stage), name) == estimate.value
     (source,) = (one for one in again.sources if one.parameter == "actuator.resonance_hz")
@@ -140,8 +134,7 @@ def test_f0_and_q_need_neither_one_clock_nor_a_polarity_nor_a_sensitivity(inputs
 def test_what_follows_from_an_assumed_coil_is_assumed_and_gives_the_measured_mode(fitted_once):
     # the file's coil is wrong, and whoever reads it learns that it was assumed
     wrong = replace(PAPER, actuator=replace(PAPER.actuator, force_factor_n_per_a=8.5))
-    devices = SimulatedDevices(PAPER, ALONE)
-    found = calibrated(devices, wrong)
+    found = calibrated(SimulatedDevices(PAPER, ALONE), wrong)
     assert found.matched
     assert found.values == {}
     kinds = {source.parameter: source.kind for source in found.rig.sources}
@@ -325,8 +318,7 @@ def test_whoever_interrupts_it_makes_the_very_next_block_silent():
 def test_an_input_that_stands_still_ends_the_sweep_within_half_a_second():
     devices = SimulatedDevices(PAPER, ALONE, stands_still=300)
     assert "the input stopped" in refused(devices, error=LostError)
-    sounding = np.flatnonzero(devices.played.any(axis=1))
-    assert sounding[-1] / RATE < 300 * BLOCK / RATE + 0.6
+    assert np.flatnonzero(devices.played.any(axis=1))[-1] / RATE < 300 * BLOCK / RATE + 0.6
 
 
 def test_an_output_that_stands_still_ends_it_and_the_first_error_is_kept():
@@ -422,8 +414,7 @@ def test_a_recording_on_the_played_clock_is_as_if_there_was_one():
     at = np.arange(60_000)
     smooth = np.sin(2.0 * np.pi * 300.0 * (at / (1.0 + 150e-6)) / RATE)
     shown = resample_to_played(smooth, 1000.0 * (1.0 + 150e-6), 150.0, 50_000)
-    exact = np.sin(2.0 * np.pi * 300.0 * (1000.0 + at[:50_000]) / RATE)
-    assert np.abs(shown - exact).max() < 1e-6
+    assert np.abs(shown - np.sin(2.0 * np.pi * 300.0 * (1000.0 + at[:50_000]) / RATE)).max() < 1e-6
 
 
 def test_samples_are_between_the_levels_and_silence_surrounds_the_sweep():

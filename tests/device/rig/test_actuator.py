@@ -71,8 +71,7 @@ def errors(got, expected):
 
 def drive(frames, samplerate):
     """A 90 Hz burst, silence, noise and a full-scale step."""
-    times = np.arange(frames) / samplerate
-    volts = 2.5 * np.sin(math.tau * 90.0 * times)
+    volts = 2.5 * np.sin(math.tau * 90.0 * (np.arange(frames) / samplerate))
     third = frames // 3
     volts[third : 2 * third] = 0.0
     volts[2 * third :] = np.random.default_rng(2).uniform(-2.5, 2.5, frames - 2 * third)
@@ -130,8 +129,7 @@ def test_what_is_asked_for_does_not_change_with_what_else_is(names):
 
 
 def test_after_reset_it_is_as_new_and_a_block_of_nothing_changes_nothing():
-    volts = drive(500, 48_000)
-    actuator = LinearActuator(ACTUATOR, 48_000)
+    volts, actuator = drive(500, 48_000), LinearActuator(ACTUATOR, 48_000)
     first = motion_of(actuator, np.append(volts, np.nan))[:-1]
     assert actuator.replaced_samples == 1
     actuator.reset()

@@ -73,8 +73,7 @@ def test_the_non_linear_model_solves_the_equations(rig, seat):
 @pytest.mark.parametrize("name", hard_drives(0.03))
 def test_drives_that_are_hard_to_solve_are_solved(name):
     # `solve_ivp` takes half a minute for a tenth of a second of a stiff circuit.
-    is_stiff = name.startswith(("inductance", "current"))
-    rig, volts = hard_drives(0.006 if is_stiff else 0.03)[name]
+    rig, volts = hard_drives(0.006 if name.startswith(("inductance", "current")) else 0.03)[name]
     model = AdaptiveActuator(rig, FS, model="nonlinear")
     got = columns(model.move(volts))
     assert errors(got, solved_motion(rig, FS, volts)[:4]).max() < LARGEST.get(name, 1e-7)
@@ -83,8 +82,7 @@ def test_drives_that_are_hard_to_solve_are_solved(name):
 
 @pytest.mark.parametrize("samplerate", [1_000, 6_000, 192_000])
 def test_a_square_is_solved_at_every_rate(samplerate):
-    times = times_of(samplerate, 0.03)
-    volts = 12.0 * np.sign(np.sin(math.tau * 70.0 * times + 1e-9))[:1_000]
+    volts = 12.0 * np.sign(np.sin(math.tau * 70.0 * times_of(samplerate, 0.03) + 1e-9))[:1_000]
     got = columns(AdaptiveActuator(PAPER, samplerate, model="nonlinear").move(volts))
     assert errors(got, solved_motion(PAPER, samplerate, volts)[:4]).max() < 1e-7
 
@@ -253,8 +251,7 @@ def test_without_what_is_compiled_the_message_says_what_to_install(monkeypatch):
 
 @pytest.mark.parametrize("shape", [*SHAPES, Stops(2.2e-3, 1.3e9)])
 def test_each_derivative_of_a_shape_is_the_slope_of_the_one_before(shape):
-    x = np.linspace(-2.9e-3, 2.9e-3, 801)
-    step = 1e-7
+    x, step = np.linspace(-2.9e-3, 2.9e-3, 801), 1e-7
     before, after, here = shape(x - step), shape(x + step), shape(x)
     for order in range(2):
         slope = (after[order] - before[order]) / (2 * step)

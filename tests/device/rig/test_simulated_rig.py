@@ -84,13 +84,6 @@ def test_what_is_beyond_an_instrument_is_clipped_and_counted():
     assert chain.clipped_samples > 1_000
 
 
-def test_instruments_that_are_not_there_or_too_slow_are_refused():
-    with pytest.raises(UsageError, match=r"no \[accelerometer\], \[conditioning\], \[daq\]"):
-        InstrumentChain(CONSUMER, FS)
-    with pytest.raises(UsageError, match="beyond the DAQ's max_samplerate_hz=1250000"):
-        InstrumentChain(PAPER, 2e6)
-
-
 def test_a_current_beyond_the_amplifiers_limit_is_counted():
     weak = replace(PAPER, amplifier=replace(PAPER.amplifier, current_limit_a=0.3))
     twin = SimulatedRig(weak, FS, 1)
@@ -158,8 +151,7 @@ def test_the_twin_is_its_stages_one_after_the_other(tolerance):
     motions = []
     for column in np.ascontiguousarray(volts.T):
         linear = LinearActuator(rig.actuator, FS, 2.0)
-        actuator = AdaptiveActuator(rig, FS, tolerance) if tolerance else linear
-        motions.append(actuator.move(column))
+        motions.append((AdaptiveActuator(rig, FS, tolerance) if tolerance else linear).move(column))
     accelerations = [motion.acceleration_m_s2 for motion in motions]
     assert np.array_equal(twin.acceleration_m_s2, np.column_stack(accelerations))
     assert np.array_equal(recorder.whole, twin.acceleration_m_s2 * V_PER_M_S2)
@@ -228,7 +220,11 @@ def test_reset_brings_the_twin_to_rest():
     assert np.array_equal(twin.acceleration_m_s2, first)
 
 
-def test_what_does_not_fit_the_twin_is_refused():
+def test_what_does_not_fit_the_twin_or_its_instruments_is_refused():
+    with pytest.raises(UsageError, match=r"no \[accelerometer\], \[conditioning\], \[daq\]"):
+        InstrumentChain(CONSUMER, FS)
+    with pytest.raises(UsageError, match="beyond the DAQ's max_samplerate_hz=1250000"):
+        InstrumentChain(PAPER, 2e6)
     with pytest.raises(UsageError, match="samplerate=999"):
         SimulatedRig(PAPER, 999, 1)
     with pytest.raises(InternalError, match="channels=0"):

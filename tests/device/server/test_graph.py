@@ -29,6 +29,11 @@ def kept(*pairs: LinkPair) -> tuple[Graph, LinkKeeper, list[str]]:
     return graph, keeper, sent
 
 
+def later(keeper: LinkKeeper, now_s: float, *items: Item) -> None:
+    keeper._graph.apply(items)
+    keeper.update(now_s)
+
+
 def test_an_object_that_has_gone_takes_its_ports_and_links_out_of_every_index():
     graph = desktop()
     play(graph, 60, "player", 10)
@@ -230,8 +235,7 @@ def test_a_missing_link_is_asked_for_again_until_it_comes():
 
 def test_any_other_link_of_our_nodes_is_removed():
     graph, keeper, sent = kept()
-    graph.apply([link(70, 13, 41, graph), link(71, 14, 41, graph), link(72, 13, 21, graph)])
-    keeper.update(1.0)
+    later(keeper, 1.0, link(70, 13, 41, graph), link(71, 14, 41, graph), link(72, 13, 21, graph))
     assert sent == ["destroy 71"]
 
 
@@ -239,11 +243,10 @@ def test_a_node_is_made_while_it_is_wanted_and_only_once():
     graph, keeper, sent = kept()
     graph.apply([link(70, 13, 41, graph)])
     keeper.wiring = one_link(made={"quiet": "create-node adapter"})
-    keeper.update(1.0)
-    keeper.update(1.05)
+    later(keeper, 1.0)
+    later(keeper, 1.05)
     assert sent == ["create-node adapter"]
-    graph.apply([node(80, "quiet"), node(81, "quiet")])
-    keeper.update(1.3)
+    later(keeper, 1.3, node(80, "quiet"), node(81, "quiet"))
     assert sent[1:] == ["destroy 81"]
     keeper.wiring = one_link()
     keeper.update(1.6)
@@ -254,28 +257,22 @@ def test_a_link_that_does_not_last_counts_as_missing():
     graph, keeper, _ = kept()
     keeper.update(1.0)
     for at in range(1, 8):
-        graph.apply([link(70, 13, 41, graph)])
-        keeper.update(1.0 + 0.1 * at)
-        graph.apply([gone(70)])
-        keeper.update(1.05 + 0.1 * at)
+        later(keeper, 1.0 + 0.1 * at, link(70, 13, 41, graph))
+        later(keeper, 1.05 + 0.1 * at, gone(70))
     assert keeper.missing_for_s({(13, 41)}, 1.8) > 0.7
-    graph.apply([link(70, 13, 41, graph)])
-    keeper.update(1.9)
-    keeper.update(1.91 + HOLDS_S)
+    later(keeper, 1.9, link(70, 13, 41, graph))
+    later(keeper, 1.91 + HOLDS_S)
     assert keeper.missing_for_s({(13, 41)}, 3.0) == 0.0
 
 
 def test_a_link_that_stays_paused_beside_an_active_one_is_made_again():
     graph, keeper, sent = kept((13, 41), (14, 42))
-    graph.apply([link(70, 13, 41, graph), link(71, 14, 42, graph, "paused")])
-    keeper.update(1.0)
-    graph.apply([link(71, 14, 42, graph, "active")])
-    keeper.update(1.2)
-    graph.apply([link(71, 14, 42, graph, "paused")])
-    keeper.update(1.3)
-    keeper.update(1.25 + PAUSED_S)
+    later(keeper, 1.0, link(70, 13, 41, graph), link(71, 14, 42, graph, "paused"))
+    later(keeper, 1.2, link(71, 14, 42, graph, "active"))
+    later(keeper, 1.3, link(71, 14, 42, graph, "paused"))
+    later(keeper, 1.25 + PAUSED_S)
     assert sent == []
-    keeper.update(1.4 + PAUSED_S)
+    later(keeper, 1.4 + PAUSED_S)
     assert sent == ["destroy 71"]
 
 

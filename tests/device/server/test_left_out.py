@@ -57,5 +57,4 @@ def test_a_role_of_its_own_or_a_latency_of_20_ms_makes_a_stream_no_call(browser,
 @pytest.mark.parametrize("latency", ["", "512", "512/0", "-1024/48000", "a/b", "959/48000"])
 def test_a_latency_that_is_short_or_cannot_be_read_leaves_a_call_a_call(latency):
     (call,), microphones = call_of("firefox-esr", "pulse")
-    short = replace(call, properties={"node.latency": latency})
-    assert reasons([short], microphones) == [CALL]
+    assert reasons([replace(call, properties={"node.latency": latency})], microphones) == [CALL]

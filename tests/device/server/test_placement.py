@@ -108,8 +108,7 @@ def test_the_stream_is_audible_exactly_while_the_last_word_was_that_it_is_here(s
         elif word == "lost":
             guard.on_lost(LostError("gone"))
         else:
-            on = OUR_SINK if word == "here" else OTHER_SINK
-            guard.on_snapshot(seen(on, events=number))
+            guard.on_snapshot(seen(OUR_SINK if word == "here" else OTHER_SINK, events=number))
         known = word == "here"
         assert playback.audible == known
     guard.release()

@@ -131,8 +131,7 @@ def test_more_bytes_than_the_standard_has_and_unknown_descriptors_are_no_problem
 
 def test_loudspeakers_come_before_other_outputs_though_they_are_farther():
     headset, volume = usb.output_1(2, 0x0605, 1), usb.feature_1(3, 1, [0, 2, 2])
-    raw = stereo_1(headset, volume, usb.output_1(4, usb.SPEAKER, 3))
-    assert played(raw)[0].path == (1, 3, 4)
+    assert played(stereo_1(headset, volume, usb.output_1(4, usb.SPEAKER, 3)))[0].path == (1, 3, 4)
 
 
 def test_of_several_feature_units_the_one_with_a_volume_is_taken():

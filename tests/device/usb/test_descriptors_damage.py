@@ -176,6 +176,5 @@ def test_a_device_says_which_configurations_and_bytes_are_lost():
 
 
 def test_of_very_many_problems_the_first_are_listed_and_the_others_counted():
-    raw = usb.configuration_of(usb.descriptor(4, b"") * 1_000, 0)
-    problems = parse_configuration(raw).problems
+    problems = parse_configuration(usb.configuration_of(usb.descriptor(4, b"") * 1_000, 0)).problems
     assert (len(problems), problems[-1]) == (201, "800 more problems")

@@ -63,8 +63,7 @@ def test_sinks_of_two_alike_lead_to_the_one_they_play_on(devices, server):
 
 @pytest.mark.parametrize("server", [pulseaudio, pipewire])
 def test_the_place_in_sys_counts_more_than_the_number_of_the_card(devices, server):
-    swapped = having(server("1-3.4", 2), alsa__card="1")
-    assert mapping.device_of_sink(swapped, devices) == devices[1]
+    assert mapping.device_of_sink(having(server("1-3.4", 2), alsa__card="1"), devices) == devices[1]
 
 
 @pytest.mark.parametrize("key", ["alsa.card", "api.alsa.pcm.card", "api.alsa.card"])

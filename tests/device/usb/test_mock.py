@@ -132,8 +132,7 @@ def test_the_rates_that_a_clock_was_asked_for_are_told():
 @pytest.mark.parametrize("shape", ALL_SHAPES)
 def test_the_text_of_lsusb_gives_the_bytes_that_it_was_made_from(shape):
     raw = usb_builder.device() + ALL_SHAPES[shape]
-    scene = [plugged(2, bound=False, dac={"descriptors": raw.hex()})]
-    text = within(scene, "lsusb", "-v").stdout
+    text = within([plugged(2, bound=False, dac={"descriptors": raw.hex()})], "lsusb", "-v").stdout
     (found,) = parse_dump(text.encode())
     assert len(found) == len(raw)
     different = [at for at in range(len(raw)) if found[at] != raw[at]]

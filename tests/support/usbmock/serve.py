@@ -116,8 +116,7 @@ class Plugged:
         attributes += f" speed={480 if self.dac.uac > 1 else 12} bDeviceClass={raw[4]:02x}"
         attributes += f" idVendor={vendor:04x} idProduct={product:04x} bNumConfigurations=1"
         attributes += f" bConfigurationValue={self.configuration}"
-        names = ("manufacturer", "product", "serial")
-        strings = zip(names, self.dac.strings, strict=False)
+        strings = zip(("manufacturer", "product", "serial"), self.dac.strings, strict=False)
         told = [node, f"E: PRODUCT={vendor:x}/{product:x}/123"]
         told += [f"A: {name}={text}\\n" for name, text in strings if text]
         told += [f"H: descriptors={raw.hex().upper()}"]
@@ -147,8 +146,7 @@ class Plugged:
         return _complete(client, lambda asked: self.mixer.answer(request, asked.get_arg()))
 
     def _answer(self, client: Any) -> tuple[int, int]:
-        request = client.get_request() & 0xFFFFFFFF
-        argument = client.get_arg()
+        request, argument = client.get_request() & 0xFFFFFFFF, client.get_arg()
         if request == CAPABILITIES:
             argument.resolve(0, 4).update(0, struct.pack("<I", 0x3F))
             return 0, 0
@@ -183,8 +181,7 @@ class Plugged:
         return 0, 0
 
     def _attach_or_detach(self, argument: Any) -> tuple[int, int]:
-        raw = bytes(argument.resolve(0, 16).retrieve())
-        number, code = struct.unpack("<ii", raw[:8])
+        number, code = struct.unpack("<ii", bytes(argument.resolve(0, 16).retrieve())[:8])
         if code & 0xFF == DISCONNECT:
             if number not in self.bound:
                 return -1, errno.ENODATA
@@ -264,8 +261,7 @@ def main() -> int:
     )
     for device in devices.values():
         device.plug()
-    loop = GLib.MainLoop()
-    pipe = f"{testbed.get_root_dir()}/control"
+    loop, pipe = GLib.MainLoop(), f"{testbed.get_root_dir()}/control"
     os.mkfifo(pipe)
     orders = os.open(pipe, os.O_RDWR | os.O_NONBLOCK)
 
