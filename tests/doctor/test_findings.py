@@ -1,6 +1,7 @@
 """Facts become findings: the rules alone, without a server."""
 
 import math
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -35,6 +36,8 @@ MANAGER: Item = {
     "type": "PipeWire:Interface:Client",
     "info": {"props": {"application.name": "WirePlumber", "object.serial": 5}},
 }
+# Findings of other tests
+ELSEWHERE = {"no-device", "no-device-chosen", "no-alsa-plugin", "daemon-silent"}
 
 
 def graph(*items: Item, **clock: object) -> Graph:
@@ -90,8 +93,7 @@ def with_status(**values: Any) -> Facts:
 
 
 def test_a_healthy_set_up_has_no_finding() -> None:
-    assert names(HEALTHY) == []
-    assert findings_text([], []) == "Nothing is wrong."
+    assert (names(HEALTHY), findings_text([], [])) == ([], "Nothing is wrong.")
 
 
 MISTAKE = Mistake("gain_db", 3, "99", "is out of range", "-60 to 24")
@@ -130,27 +132,14 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_each_fault_alone_gives_its_finding_alone(name: str) -> None:
+def test_each_fault_gives_its_finding_alone_in_sentences_that_say_what_to_do(name: str) -> None:
     also = {"no-daemon"} if name == "stale-lock" else set()
     assert set(names(CASES[name])) == {name} | also
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_each_finding_is_a_sentence_that_says_what_to_do(name: str) -> None:
     for finding in find(CASES[name]):
-        assert finding.wrong.endswith(".")
-        assert not finding.wrong.endswith("..")
+        assert re.search(r"[^.]\.\Z", finding.wrong)
         assert finding.advice.endswith(".")
         assert finding.wrong in findings_text([finding], [])
     assert facts_text(CASES[name])
-
-
-# Findings of other tests
-ELSEWHERE = {"no-device", "no-device-chosen", "no-alsa-plugin", "daemon-silent"}
-
-
-def test_each_repair_belongs_to_a_finding() -> None:
-    assert set(REPAIRS) <= set(TEXTS)
 
 
 def test_the_offset_and_its_origin_are_shown() -> None:
@@ -158,38 +147,33 @@ def test_the_offset_and_its_origin_are_shown() -> None:
     assert "194.5 ms, declared by the sink" in shown
 
 
-def test_every_finding_has_a_case() -> None:
+def test_every_finding_has_a_case_and_every_repair_a_finding() -> None:
     assert {name.split()[0] for name in TEXTS} - ELSEWHERE == set(CASES)
+    assert set(REPAIRS) <= set(TEXTS)
 
 
-def test_a_daemon_or_an_engine_that_says_why_it_fails_is_a_finding() -> None:
+def test_a_daemon_an_engine_or_a_config_that_says_what_is_wrong_is_a_finding() -> None:
     assert names(replace(IDLE, daemon_error="no answer")) == ["daemon-silent"]
     engine = replace(CASES["pulseaudio"], alsa_problem="no plugin")
     assert names(engine) == ["pulseaudio", "no-alsa-plugin"]
-    unreadable = changed(config_error="no permission")
-    assert [one.wrong for one in find(unreadable)] == [
-        "The config file cannot be read: no permission."
-    ]
-
-
-def test_a_warning_of_the_config_is_a_finding() -> None:
+    (unreadable,) = find(changed(config_error="no permission"))
+    assert unreadable.wrong == "The config file cannot be read: no permission."
     assert names(changed(config_warnings=("it is slow",))) == ["config"]
 
 
 def test_a_device_is_needed_while_no_daemon_plays() -> None:
     assert names(replace(IDLE, live=LiveSettings())) == ["no-device-chosen", "no-daemon"]
     gone = replace(IDLE, device_error="there is no sink 'dac'")
-    assert names(gone) == ["no-device", "no-daemon"]
-    assert names(changed(live=LiveSettings())) == []
+    assert (names(gone), names(changed(live=LiveSettings()))) == (["no-device", "no-daemon"], [])
 
 
 def test_a_device_beside_the_server_needs_no_engine_of_the_server() -> None:
     assert names(changed(is_on_server=False, native_problem="pw-cli is missing")) == []
 
 
-def test_rtkit_is_enough_for_real_time_priority() -> None:
-    assert names(changed(is_realtime=False, rtkit=True)) == []
-    assert names(changed(is_realtime=False, rtkit=None)) == ["no-realtime"]
+@pytest.mark.parametrize(("rtkit", "found"), [(True, []), (None, ["no-realtime"])])
+def test_rtkit_is_enough_for_real_time_priority(rtkit: bool | None, found: list[str]) -> None:
+    assert names(changed(is_realtime=False, rtkit=rtkit)) == found
 
 
 @pytest.mark.parametrize(

@@ -29,5 +29,4 @@ def test_without_a_runtime_folder_of_the_system_a_temporary_one_is_used(
 
 def test_a_runtime_folder_that_does_not_exist_is_named(tmp_path: Path) -> None:
     found = runtime_folder(tmp_path, XDG_RUNTIME_DIR=str(tmp_path / "run"))
-    assert found.path == str(tmp_path / "run")
-    assert "XDG_RUNTIME_DIR" in found.problem
+    assert (found.path, "XDG_RUNTIME_DIR" in found.problem) == (str(tmp_path / "run"), True)

@@ -3,27 +3,21 @@
 import numpy as np
 import pytest
 
+from audioflinger_hook.doctor import measurement
 from audioflinger_hook.doctor.facts import Delay, Facts
-from audioflinger_hook.doctor.measurement import (
-    BURST_S,
-    BURSTS_AT_S,
-    LASTS_S,
-    RATE_HZ,
-    Recording,
-    delay_between,
-    measure,
-)
+from audioflinger_hook.doctor.measurement import RATE_HZ, Recording, delay_between
 
 BLOCK = 512
 
 
 def recorded(delay_s: float, begins_s: float, level: float, late_s: float) -> Recording:
     """A recording that begins at begins_s; each block arrives up to late_s late."""
-    time_s = begins_s + np.arange(round(LASTS_S * RATE_HZ)) / RATE_HZ
+    time_s = begins_s + np.arange(round(measurement.LASTS_S * RATE_HZ)) / RATE_HZ
     sound = np.zeros(time_s.size, np.float32)
-    for start_s in BURSTS_AT_S:
-        is_on = (time_s >= start_s + delay_s) & (time_s < start_s + delay_s + BURST_S)
-        sound[is_on] = level * np.cos(2.0 * np.pi * 100.0 * (time_s[is_on] - start_s - delay_s))
+    for start_s in measurement.BURSTS_AT_S:
+        since_s = time_s - start_s - delay_s
+        is_on = (since_s >= 0.0) & (since_s < measurement.BURST_S)
+        sound[is_on] = level * np.cos(2.0 * np.pi * 100.0 * since_s[is_on])
     random, recording = np.random.default_rng(1), Recording()
     for first in range(0, time_s.size - BLOCK, BLOCK):
         arrives_s = begins_s + (first + BLOCK) / RATE_HZ + random.uniform(0.0, late_s)
@@ -46,4 +40,5 @@ def test_silence_is_said_and_not_measured() -> None:
 
 
 def test_nothing_is_played_without_a_daemon() -> None:
-    assert measure(Facts()) == Delay(reason="not measured: no daemon plays; start `cushion run`")
+    reason = "not measured: no daemon plays; start `cushion run`"
+    assert measurement.measure(Facts()) == Delay(reason=reason)

@@ -37,8 +37,7 @@ def test_paths_and_quoted_names_are_hidden(line: str) -> None:
 
 
 def test_the_person_and_the_machine_are_hidden() -> None:
-    shown = anonymous("run as anna on annas-box", set(), PERSON)
-    assert shown == f"run as {HIDDEN} on {HIDDEN}"
+    assert anonymous("run as anna on annas-box", set(), PERSON) == f"run as {HIDDEN} on {HIDDEN}"
 
 
 @pytest.mark.parametrize(
@@ -51,8 +50,7 @@ def test_the_person_and_the_machine_are_hidden() -> None:
     ],
 )
 def test_what_a_helper_needs_stays(line: str) -> None:
-    shown = anonymous(line, {"haptic"}, PERSON)
-    assert shown == line.replace('"$USER - rtprio 20"', HIDDEN)
+    assert anonymous(line, {"haptic"}, PERSON) == line.replace('"$USER - rtprio 20"', HIDDEN)
 
 
 def test_the_values_of_a_config_are_hidden_and_its_keys_stay() -> None:

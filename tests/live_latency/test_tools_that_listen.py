@@ -24,9 +24,7 @@ def test_a_stream_of_which_one_tone_was_heard_is_an_error():
 
 
 @pytest.mark.parametrize("samples", [0, 1, 2])
-def test_the_cpu_time_of_a_daemon_that_has_ended_is_an_error_and_none_is_0(
-    monkeypatch, tmp_path, samples
-):
+def test_the_cpu_time_of_a_daemon_that_ended_is_an_error(monkeypatch, tmp_path, samples):
     used = ProcessUse()
     used._samples = [(float(count), 5.0, 100.0) for count in range(samples)]
     server: Any = type("Server", (), {"environment": {}, "folder": tmp_path})
@@ -51,8 +49,7 @@ def test_compensated_samples_have_the_error_that_the_bench_states():
     fine = np.arange((len(times) - 1) * between + 1) / between
     met = np.interp(fine, times, compensate_interpolation(np.sin(omega * times)))
     inner = slice(between * 10, -between * 10)
-    sine, cosine = (turn(omega * fine[inner]) for turn in (np.sin, np.cos))
-    basis = np.column_stack([sine, cosine])
+    basis = np.column_stack([turn(omega * fine[inner]) for turn in (np.sin, np.cos)])
     amplitude = float(np.linalg.lstsq(basis, met[inner], rcond=None)[0][0])
     assert abs(1.0 - amplitude) == pytest.approx(omega**4 / 90.0, rel=0.2)
     assert f"{omega**4 / 90.0:.0e}".replace("e-0", "e-") in (compensate_interpolation.__doc__ or "")

@@ -14,13 +14,8 @@ SCENES = json.loads(_RECORDED.read_text())
 # By browser, server and scene: which of the playing streams, counted from 0, is felt. None is felt
 # in the scenes that are not named: the only stream is a call, or cannot be told from one.
 _ALONE = {"film": 0, "web audio": 0}
-_FIREFOX = {
-    **_ALONE,
-    "film, then call": 0,
-    "call, then film": 1,
-    "web audio, then call": 0,
-    "film, then call without echo cancellation": 0,
-}
+_FIRST = ("film, then call", "web audio, then call", "film, then call without echo cancellation")
+_FIREFOX = {**_ALONE, **dict.fromkeys(_FIRST, 0), "call, then film": 1}
 FELT = {
     ("chromium", "pipewire"): {**_ALONE, "film, then call without echo cancellation": 0},
     ("chromium", "pulse"): _ALONE,

@@ -21,6 +21,8 @@ from device.errors import NotFoundError
 GAIN = {"key": "gain_db", "value": -6.0, "schema": {"minimum": -60.0, "maximum": 0.0}}
 PROFILE = {"key": "profile", "value": "game", "schema": {"enum": ["cinema", "game"]}}
 SETTINGS = {"keys": [GAIN, PROFILE], "muted": False}
+MENU = MENU_PATH, "com.canonical.dbusmenu"
+ICON = "/StatusNotifierItem", "org.freedesktop.DBus.Properties"
 
 
 class Watcher(ServiceInterface):
@@ -46,19 +48,10 @@ def bus_address(monkeypatch):
         daemon.terminate()
 
 
-async def asked(
-    bus, to, member, signature, *body, path=MENU_PATH, interface="com.canonical.dbusmenu"
-):
-    message = Message(
-        destination=to,
-        path=path,
-        interface=interface,
-        member=member,
-        signature=signature,
-        body=list(body),
-    )
-    answer = await asyncio.wait_for(bus.call(message), 5.0)
-    return answer.body
+async def asked(bus, to, member, signature, *body, of=MENU):
+    path, interface = of
+    message = Message(to, path, interface, member, signature=signature, body=list(body))
+    return (await asyncio.wait_for(bus.call(message), 5.0)).body
 
 
 def test_the_tray_shows_the_menu_and_a_click_asks_the_daemon(bus_address):
@@ -72,16 +65,8 @@ def test_the_tray_shows_the_menu_and_a_click_asks_the_daemon(bus_address):
         menu.show(entries(SETTINGS))
         bus = await show(menu, 5.0)
         (name,) = watcher.names
-        icon = "/StatusNotifierItem", "org.freedesktop.DBus.Properties"
-        (properties,) = await asked(
-            desktop,
-            name,
-            "GetAll",
-            "s",
-            "org.kde.StatusNotifierItem",
-            path=icon[0],
-            interface=icon[1],
-        )
+        item = "org.kde.StatusNotifierItem"
+        (properties,) = await asked(desktop, name, "GetAll", "s", item, of=ICON)
         assert {key: one.value for key, one in properties.items()} == {
             "Category": "Hardware",
             "Id": "haptic-cushion",
@@ -103,17 +88,12 @@ def test_the_tray_shows_the_menu_and_a_click_asks_the_daemon(bus_address):
         desktop.disconnect()
         return requests
 
-    assert asyncio.run(converse()) == [
-        {"mute": True},
-        {"set": {"gain_db": -9.0}},
-        {"set": {"profile": "cinema"}},
-    ]
+    weaker, cinema = {"set": {"gain_db": -9.0}}, {"set": {"profile": "cinema"}}
+    assert asyncio.run(converse()) == [{"mute": True}, weaker, cinema]
 
 
 def test_without_a_host_it_says_so_and_that_the_vibration_goes_on(bus_address):
-    with pytest.raises(
-        NotFoundError, match=r"no StatusNotifier host answers.*the vibration goes on"
-    ):
+    with pytest.raises(NotFoundError, match=r"no StatusNotifier host answers.*vibration goes on"):
         asyncio.run(show(Menu(lambda _: None), 5.0))
 
 

@@ -98,12 +98,8 @@ def mixed(hw: str) -> list[dict[str, Any]]:
             decibels = volume.decibels
             assert decibels is not None
             set_db = mixer.set_volume_db(volume, 6.0)
-            alsa = subprocess.run(
-                ["amixer", "-c", card, "cget", f"name={volume.name}"],
-                capture_output=True,
-                text=True,
-                check=True,
-            ).stdout
+            asks = ["amixer", "-c", card, "cget", f"name={volume.name}"]
+            alsa = subprocess.check_output(asks, text=True)
             levels = re.search(r"min=(-?[\d.]+)dB,max=(-?[\d.]+)dB", alsa)
             steps = re.search(r": values=([\d,]+)", alsa)
             assert levels, alsa
@@ -206,8 +202,7 @@ def pulled(folder: Path) -> dict[str, Any]:
     went_on_s = time.monotonic()
     plays_s = run.wait(lambda status: status["state"] == "running")
     time.sleep(3.0)
-    last = run.look()
-    real_time = count_real_time(run.process.pid)
+    last, real_time = run.look(), count_real_time(run.process.pid)
     run.end()
     return {
         "ports": [device["port"], again.port],
@@ -256,11 +251,9 @@ def unsettable(folder: Path) -> dict[str, Any]:
     told = {}
     for which, has_volume in (("none", False), ("kept", True)):
         descriptors = usb_builder.device(product=0xDAC1) + dac_1(volume=has_volume)
-        volumes = {1: -256, 2: -256} if has_volume else {}
-        dac = SoftwareDac(
-            descriptors, 1, ["Soft", which], volumes=volumes, mutes={0: 1}, keeps_volume=True
-        )
-        taken = bytearray()
+        more: dict[str, Any] = {"volumes": {1: -256, 2: -256} if has_volume else {}}
+        more |= {"mutes": {0: 1}, "keeps_volume": True}
+        dac, taken = SoftwareDac(descriptors, 1, ["Soft", which], **more), bytearray()
         with closing(VirtualDac(dac, taken.extend)):
             runs = []
             for level in ("-30", "off"):
@@ -295,16 +288,11 @@ def configurations(folder: Path) -> dict[str, Any]:
     """A DAC in its second configuration, and one of class 3."""
     told = {}
     both = (("second", 1, two_configurations()), ("class 3", 3, headphones_3()))
+    more: dict[str, Any] = {"samplerates": [48_000], "volumes": {0: 0, 1: 0, 2: 0}}
     for name, uac, configuration in both:
         device = usb_builder.device(product=0xDAC1, configurations=2 if uac == 1 else 1)
         # Requests of class 3 are those of class 2.
-        dac = SoftwareDac(
-            device + configuration,
-            min(uac, 2),
-            ["Soft", name],
-            samplerates=[48_000],
-            volumes={0: 0, 1: 0, 2: 0},
-        )
+        dac = SoftwareDac(device + configuration, min(uac, 2), ["Soft", name], **more)
         taken = bytearray()
         with closing(VirtualDac(dac, taken.extend)):
             if uac == 1:

@@ -149,8 +149,7 @@ def test_the_chosen_one_of_two_cards_gets_every_bit_and_the_other_nothing(tmp_pa
     assert mixed["range_db"] == pytest.approx(mixed["alsa_range_db"], abs=0.01)
     assert mixed["highest_db"] > 0.0  # louder than may be set
     assert -1.0 < mixed["set_db"] <= 0.0
-    assert mixed["steps"] == mixed["alsa_steps"]
-    assert mixed["muted"] == [[True], [False]]
+    assert (mixed["steps"], mixed["muted"]) == (mixed["alsa_steps"], [[True], [False]])
 
 
 def test_a_card_that_is_pulled_out_while_it_plays_is_waited_for_in_any_port(tmp_path):

@@ -13,6 +13,7 @@ from device.errors import NotFoundError
 
 CONTAINER, SCALE, LINEAR, RANGE, BOUNDS, BOUNDS_MUTE = range(6)
 SILENT_WHEN_LOWEST = 0x10000
+words_of_a_driver = st.lists(st.integers(0, (1 << 32) - 1) | st.integers(0, 40), max_size=24)
 
 
 def table(kind: int, *words: int) -> list[int]:
@@ -48,12 +49,10 @@ def test_each_kind_of_table_gives_the_steps_their_levels(words, levels_db):
     assert {step: round(known(words).level(step), 6) for step in levels_db} == levels_db
 
 
-@pytest.mark.parametrize(
-    "words", [table(SCALE, -5_000, 50 | SILENT_WHEN_LOWEST), table(BOUNDS_MUTE, -6_400, 0)]
-)
-def test_the_lowest_step_is_silence_where_the_table_says_so(words):
-    assert known(words).level(0) == -math.inf
-    assert known(words).level(1) > -70.0
+def test_the_lowest_step_is_silence_where_the_table_says_so():
+    for words in (table(SCALE, -5_000, 50 | SILENT_WHEN_LOWEST), table(BOUNDS_MUTE, -6_400, 0)):
+        assert known(words).level(0) == -math.inf
+        assert known(words).level(1) > -70.0
 
 
 NO_LEVELS = table(77, 1, 2)
@@ -71,9 +70,6 @@ HOLDS_ITSELF = functools.reduce(lambda words, _: table(CONTAINER, *words), range
 def test_what_is_no_table_or_contradicts_itself_says_nothing(words):
     assert parse_decibels(words, 0, 100) is None
     assert parse_decibels(SOME_BOUNDS, 5, 5) is None
-
-
-words_of_a_driver = st.lists(st.integers(0, (1 << 32) - 1) | st.integers(0, 40), max_size=24)
 
 
 @given(words_of_a_driver, st.integers(-(1 << 31), 1 << 31), st.integers(0, 1 << 20))

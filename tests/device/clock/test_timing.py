@@ -86,8 +86,7 @@ def test_a_jump_that_was_announced_begins_a_new_line_with_the_first_late_callbac
 @pytest.mark.sweep
 @pytest.mark.parametrize("seconds", [2.1, 0.5, 1.7, 1.9])
 def test_a_backlog_of_any_length_is_forgotten_a_fifth_of_a_second_later(seconds):
-    side = Side(jitter_s=0.0005, pauses=((20.0, 20.0 + seconds),))
-    now, error, _ = errors(side, 30.0)
+    now, error, _ = errors(Side(jitter_s=0.0005, pauses=((20.0, 20.0 + seconds),)), 30.0)
     assert np.abs(error[now > 20.2 + seconds]).max() < 0.001
 
 

@@ -18,10 +18,8 @@ from tests.support.graphs import Item, desktop, gone, link, node, play, port
 
 def one_link(*pairs: LinkPair, made: Mapping[str, str] | None = None) -> Any:
     """One link from a monitor of `desk` to the chain's tap."""
-    links = frozenset(pairs or ((13, 41),))
-    return SimpleNamespace(
-        nodes=lambda _: {40}, links=lambda _: links, made_nodes=lambda: made or {}
-    )
+    known = {"links": lambda _: frozenset(pairs or ((13, 41),)), "made_nodes": lambda: made or {}}
+    return SimpleNamespace(nodes=lambda _: {40}, **known)
 
 
 def kept(*pairs: LinkPair) -> tuple[Graph, LinkKeeper, list[str]]:
@@ -29,6 +27,11 @@ def kept(*pairs: LinkPair) -> tuple[Graph, LinkKeeper, list[str]]:
     keeper = LinkKeeper(graph, sent.append)
     keeper.wiring = one_link(*pairs)
     return graph, keeper, sent
+
+
+def later(keeper: LinkKeeper, now_s: float, *items: Item) -> None:
+    keeper._graph.apply(items)
+    keeper.update(now_s)
 
 
 def test_an_object_that_has_gone_takes_its_ports_and_links_out_of_every_index():
@@ -183,8 +186,7 @@ def test_a_link_is_known_with_its_last_announced_line_however_the_pipe_cuts_it(p
     graph = announced(piece=piece)
     assert [one.pair for one in graph.links_of(10)] == [(71, 11)]
     assert graph.ports_of(70, "output_") == {"FL": 71}
-    assert graph.nodes[70].name == 'a "name" = '
-    assert not graph.is_described(70)
+    assert (graph.nodes[70].name, graph.is_described(70)) == ('a "name" = ', False)
 
 
 def test_what_is_described_late_does_not_undo_what_was_announced():
@@ -226,16 +228,14 @@ def test_a_missing_link_is_asked_for_again_until_it_comes():
         keeper.update(now_s)
     assert sent == ["create-link -1 13 -1 41 { link.passive=true object.linger=false }"] * 2
     graph.apply([link(70, 13, 41, graph)])
-    keeper.update(1.2)
-    keeper.update(1.4)
-    assert len(sent) == 2
-    assert keeper.are_there({(13, 41)})
+    for now_s in (1.2, 1.4):
+        keeper.update(now_s)
+    assert (len(sent), keeper.are_there({(13, 41)})) == (2, True)
 
 
 def test_any_other_link_of_our_nodes_is_removed():
     graph, keeper, sent = kept()
-    graph.apply([link(70, 13, 41, graph), link(71, 14, 41, graph), link(72, 13, 21, graph)])
-    keeper.update(1.0)
+    later(keeper, 1.0, link(70, 13, 41, graph), link(71, 14, 41, graph), link(72, 13, 21, graph))
     assert sent == ["destroy 71"]
 
 
@@ -243,11 +243,10 @@ def test_a_node_is_made_while_it_is_wanted_and_only_once():
     graph, keeper, sent = kept()
     graph.apply([link(70, 13, 41, graph)])
     keeper.wiring = one_link(made={"quiet": "create-node adapter"})
-    keeper.update(1.0)
-    keeper.update(1.05)
+    later(keeper, 1.0)
+    later(keeper, 1.05)
     assert sent == ["create-node adapter"]
-    graph.apply([node(80, "quiet"), node(81, "quiet")])
-    keeper.update(1.3)
+    later(keeper, 1.3, node(80, "quiet"), node(81, "quiet"))
     assert sent[1:] == ["destroy 81"]
     keeper.wiring = one_link()
     keeper.update(1.6)
@@ -258,40 +257,30 @@ def test_a_link_that_does_not_last_counts_as_missing():
     graph, keeper, _ = kept()
     keeper.update(1.0)
     for at in range(1, 8):
-        graph.apply([link(70, 13, 41, graph)])
-        keeper.update(1.0 + 0.1 * at)
-        graph.apply([gone(70)])
-        keeper.update(1.05 + 0.1 * at)
+        later(keeper, 1.0 + 0.1 * at, link(70, 13, 41, graph))
+        later(keeper, 1.05 + 0.1 * at, gone(70))
     assert keeper.missing_for_s({(13, 41)}, 1.8) > 0.7
-    graph.apply([link(70, 13, 41, graph)])
-    keeper.update(1.9)
-    keeper.update(1.91 + HOLDS_S)
+    later(keeper, 1.9, link(70, 13, 41, graph))
+    later(keeper, 1.91 + HOLDS_S)
     assert keeper.missing_for_s({(13, 41)}, 3.0) == 0.0
 
 
 def test_a_link_that_stays_paused_beside_an_active_one_is_made_again():
     graph, keeper, sent = kept((13, 41), (14, 42))
-    graph.apply([link(70, 13, 41, graph), link(71, 14, 42, graph, "paused")])
-    keeper.update(1.0)
-    graph.apply([link(71, 14, 42, graph, "active")])
-    keeper.update(1.2)
-    graph.apply([link(71, 14, 42, graph, "paused")])
-    keeper.update(1.3)
-    keeper.update(1.25 + PAUSED_S)
+    later(keeper, 1.0, link(70, 13, 41, graph), link(71, 14, 42, graph, "paused"))
+    later(keeper, 1.2, link(71, 14, 42, graph, "active"))
+    later(keeper, 1.3, link(71, 14, 42, graph, "paused"))
+    later(keeper, 1.25 + PAUSED_S)
     assert sent == []
-    keeper.update(1.4 + PAUSED_S)
+    later(keeper, 1.4 + PAUSED_S)
     assert sent == ["destroy 71"]
 
 
 def test_another_session_manager_is_known_by_its_serial_number_as_ids_come_back():
     graph = desktop()
     assert graph.session_manager is None
-    for serial, name in (
-        (81, "WirePlumber"),
-        (97, "WirePlumber"),
-        (99, "WirePlumber (main-alone)"),
-    ):
-        props = {"application.name": name, "object.serial": serial}
+    for serial, which in ((81, ""), (97, ""), (99, " (main-alone)")):
+        props = {"application.name": f"WirePlumber{which}", "object.serial": serial}
         graph.apply([{"id": 5, "type": "PipeWire:Interface:Client", "info": {"props": props}}])
         assert graph.session_manager == serial
     graph.apply([gone(5)])

@@ -13,6 +13,10 @@ def reasons(streams, microphones, left_out=LeftOut()):  # noqa: B008 - immutable
     return [left_out.why(stream, microphones) for stream in streams]
 
 
+def call_of(browser, server):
+    return [made(browser, server, "call", what) for what in (PLAYING, RECORDING)]
+
+
 def test_every_scene_was_recorded_with_its_film_and_microphone():
     for browser, server in FELT:
         recorded = SCENES[browser][server]
@@ -35,9 +39,7 @@ def test_a_browsers_film_is_felt_and_its_call_is_not(browser, server, scene):
 
 @pytest.mark.parametrize("browser", SCENES)
 def test_another_process_or_another_program_that_records_makes_no_call(browser):
-    (call,), (microphone,) = (
-        made(browser, "pipewire", "call", what) for what in (PLAYING, RECORDING)
-    )
+    (call,), (microphone,) = call_of(browser, "pipewire")
     assert reasons([call], [replace(microphone, process_id=1), microphone]) != [""]
     assert reasons([call], [replace(microphone, process_id=1)]) == [""]
     assert reasons([call], [replace(microphone, application="Game")]) == [""]
@@ -48,16 +50,11 @@ def test_another_process_or_another_program_that_records_makes_no_call(browser):
     "more", [{"role": "Music"}, {"role": "game"}, {"properties": {"node.latency": "960/48000"}}]
 )
 def test_a_role_of_its_own_or_a_latency_of_20_ms_makes_a_stream_no_call(browser, more):
-    (call,), microphones = (
-        made(browser, "pipewire", "call", what) for what in (PLAYING, RECORDING)
-    )
+    (call,), microphones = call_of(browser, "pipewire")
     assert reasons([replace(call, **more)], microphones) == [""]
 
 
 @pytest.mark.parametrize("latency", ["", "512", "512/0", "-1024/48000", "a/b", "959/48000"])
 def test_a_latency_that_is_short_or_cannot_be_read_leaves_a_call_a_call(latency):
-    (call,), microphones = (
-        made("firefox-esr", "pulse", "call", what) for what in (PLAYING, RECORDING)
-    )
-    call = replace(call, properties={"node.latency": latency})
-    assert reasons([call], microphones) == [CALL]
+    (call,), microphones = call_of("firefox-esr", "pulse")
+    assert reasons([replace(call, properties={"node.latency": latency})], microphones) == [CALL]
