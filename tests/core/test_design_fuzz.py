@@ -72,9 +72,7 @@ def test_bytes_that_were_changed_or_cut_are_refused(at: int, flips: int, cut: in
 @pytest.mark.parametrize(
     ("reason", "design"),
     [
-        *damaged(WHOLE).items(),
-        ("not a design", b""),
-        ("cut or too long", WHOLE + bytes(8)),
+        *(*damaged(WHOLE).items(), ("not a design", b""), ("cut or too long", WHOLE + bytes(8))),
         ("checksum", WHOLE[:-8] + bytes(8)),
         ("lacks samplerate or inputs", blob.pack(TRANSFORM.records())),
     ],
@@ -175,11 +173,8 @@ MISFITS: dict[str, list[object]] = {
     "short_hz": [S["short_hz"][1:]],
     "newest_frames": [0, S["tick_frames"] + 1, S["short_frames"] + 1],
     "band_edges": [
-        S["band_edges"][:1],
-        S["band_edges"][::-1].copy(),
-        S["band_edges"] + S["short_bins"],
-        S["band_edges"] - S["band_edges"][0],
-        S["band_edges"] + 0.5,
+        *(S["band_edges"][:1], S["band_edges"][::-1].copy(), S["band_edges"] + S["short_bins"]),
+        *(S["band_edges"] - S["band_edges"][0], S["band_edges"] + 0.5),
     ],
     "back_ticks": [2, 65],
     "rest_ticks": [S["rearmed_ticks"] - 1],
@@ -190,9 +185,7 @@ MISFITS: dict[str, list[object]] = {
     "onset_partials_max": [S["groups_max"] - 1, 17],
     "rise_shares": [np.zeros(0)],
     "speech_edges": [
-        S["speech_edges"][1:],
-        S["speech_edges"][::-1].copy(),
-        S["speech_edges"] + S["bins"],
+        *(S["speech_edges"][1:], S["speech_edges"][::-1].copy(), S["speech_edges"] + S["bins"]),
         S["speech_edges"] - 1e3,
     ],
     "speech_centres_hz": [np.ones(6)],
@@ -261,8 +254,7 @@ def test_any_controls_give_finite_signals_within_full_scale(
 @given(samples=st.lists(st.floats(width=32), min_size=1, max_size=200))
 @settings(max_examples=100, deadline=None)
 def test_any_sound_gives_finite_signals(samples: list[float]) -> None:
-    core = Core(WHOLE)
-    out = core.process(np.resize(np.array(samples, np.float32), (2_000, 2)))
+    out = Core(WHOLE).process(np.resize(np.array(samples, np.float32), (2_000, 2)))
     assert np.isfinite(out).all()
 
 

@@ -28,9 +28,8 @@ class Case:
     def __init__(self, store: OffsetStore | None = None, **live: Any) -> None:
         device = parse_device("cushion")
         config = RunConfig(parse_tap("default"), device, Settings(), LiveSettings(**live))
-        status = DelayStatus(OWN_S, state=DelayState.LOCKED)
         self.python = SimpleNamespace(
-            delay_line=SimpleNamespace(status=status),
+            delay_line=SimpleNamespace(status=DelayStatus(OWN_S, state=DelayState.LOCKED)),
             framework=SimpleNamespace(latency_s=0.0),
             drive=SimpleNamespace(latency_frames=0),
             samplerate=48_000,
@@ -70,8 +69,7 @@ def test_a_sinks_latency_less_both_the_devices_and_ours_is_the_offset():
     case = Case()
     case.latencies_s["cushion"] = 0.02
     offset_s, reason = case.pass_s(1.0)
-    assert offset_s == pytest.approx(0.2 - 0.02 - OWN_S)
-    assert reason == DECLARED
+    assert (offset_s, reason) == (pytest.approx(0.2 - 0.02 - OWN_S), DECLARED)
 
 
 @pytest.mark.parametrize(("beyond_s", "reason"), [(-0.001, UNKNOWN), (0.001, DECLARED)])
@@ -99,8 +97,7 @@ def test_the_offset_stands_still_while_a_buffer_empties_and_fills():
     steady_s = found_s[50:]
     assert max(steady_s) - min(steady_s) <= 2.5 * FOLLOWED_S
     assert max(steady_s) == pytest.approx(0.19 - OWN_S, abs=0.01)
-    changes = sum(one != other for one, other in pairwise(steady_s))
-    assert changes <= len(steady_s) // 25
+    assert sum(one != other for one, other in pairwise(steady_s)) <= len(steady_s) // 25
 
 
 def test_an_idle_sink_that_declares_nothing_changes_nothing():
@@ -116,8 +113,7 @@ def test_the_delay_of_another_sink_is_forgotten_before_the_next_one_plays():
     case.python.delay_line.status = DelayStatus(OWN_S)  # nothing plays
     case.pass_s(0.2, monitor(SPEAKERS))
     case.python.delay_line.status = DelayStatus(OWN_S, state=DelayState.LOCKED)
-    assert case.pass_s(0.2, monitor(SPEAKERS)) == (0.0, UNKNOWN)
-    assert case.pass_s(0.2)[1] == DECLARED
+    assert (case.pass_s(0.2, monitor(SPEAKERS)), case.pass_s(0.2)[1]) == ((0.0, UNKNOWN), DECLARED)
 
 
 def test_applications_are_heard_where_they_all_play():
@@ -130,8 +126,7 @@ def test_applications_are_heard_where_they_all_play():
 
 
 def test_a_microphone_is_heard_nowhere():
-    case = Case()
-    assert case.pass_s(1.0, source(9, "microphone")) == (0.0, UNKNOWN)
+    assert Case().pass_s(1.0, source(9, "microphone")) == (0.0, UNKNOWN)
 
 
 def test_drop_in_mode_hears_the_sink_that_it_forwards_to(tmp_path):
@@ -144,8 +139,7 @@ def test_drop_in_mode_hears_the_sink_that_it_forwards_to(tmp_path):
 
 def test_with_a_number_nobody_asks_the_server():
     case = Case(offset_ms=40)
-    assert case.pass_s(10.0)[0] == 0.04
-    assert case.queries == 0
+    assert (case.pass_s(10.0)[0], case.queries) == (0.04, 0)
 
 
 def test_a_delay_that_cannot_be_is_told_while_auto_is_set():

@@ -23,8 +23,7 @@ CARRIERS_MAX = 16
 
 def files_of_a_cycle() -> set[str]:
     """Return the files that run while blocks pass from a capture to a device within a second."""
-    queue = CaptureQueue()
-    clocks = Clocks(lambda: 0.0, lambda: 0.0)
+    queue, clocks = CaptureQueue(), Clocks(lambda: 0.0, lambda: 0.0)
     engine = Engine(queue.client(RATE_HZ, 2), RATE_HZ, clocks=clocks, block_frames=BLOCK)
     queue.serve(engine)
     queue.opened(RATE_HZ, 2)

@@ -90,19 +90,14 @@ def test_settings_come_with_the_schema_and_without_files_and_devices(daemon):
 
 
 def test_a_change_applies_at_once_and_the_file_changes_only_by_save(daemon):
-    assert daemon.ask(set={"gain_db": -9}) == {"done": True}
-    assert daemon.value("gain_db") == -9
-    assert daemon.config.read_text() == CONFIG
-    assert daemon.settings()["unsaved"] == 1
+    assert (daemon.ask(set={"gain_db": -9}), daemon.value("gain_db")) == ({"done": True}, -9)
+    assert (daemon.config.read_text(), daemon.settings()["unsaved"]) == (CONFIG, 1)
     assert daemon.ask(save=True) == {"done": True}
     assert daemon.config.read_text() == CONFIG.replace("-3.0", "-9.0")
-    assert daemon.ask(undo=True) == {"done": True}
-    assert daemon.value("gain_db") == -3.0
-    assert daemon.ask(save=True) == {"done": True}
-    assert daemon.config.read_text() == CONFIG
+    assert (daemon.ask(undo=True), daemon.value("gain_db")) == ({"done": True}, -3.0)
+    assert (daemon.ask(save=True), daemon.config.read_text()) == ({"done": True}, CONFIG)
     assert daemon.value("offset_ms") == 20  # of an option, which a page wins over
-    assert daemon.ask(set={"offset_ms": 5}) == {"done": True}
-    assert daemon.value("offset_ms") == 5
+    assert (daemon.ask(set={"offset_ms": 5}), daemon.value("offset_ms")) == ({"done": True}, 5)
     daemon.ask(undo=True)
     assert daemon.value("offset_ms") == 20
 
@@ -148,11 +143,8 @@ def test_what_the_config_refuses_is_refused_in_its_words(daemon, changes, words)
 @pytest.mark.parametrize(
     "request_",
     [
-        {},
-        {"set": {"gain_db": 0}, "undo": True},
-        {"mute": 1},
-        {"application": "x", "felt": True},
-        {"application": {"match": "x"}},
+        *({}, {"set": {"gain_db": 0}, "undo": True}, {"mute": 1}),
+        *({"application": "x", "felt": True}, {"application": {"match": "x"}}),
         {"application": {"match": 5, "feel": True}},
         {"application": {"match": " ", "feel": True}},
         {"application": {"match": "x", "feel": 1}},
@@ -161,17 +153,11 @@ def test_what_the_config_refuses_is_refused_in_its_words(daemon, changes, words)
         {"application": {"match": "x", "gain_db": 3}},
         {"application": {"match": "x", "level": 3}},
         {"application": {"match": "x", "profile": [["game"]]}},
-        {"application": {"match": "x", "feel": {"a": 1}}},
-        {"tone": {"hz": 5}},
+        *({"application": {"match": "x", "feel": {"a": 1}}}, {"tone": {"hz": 5}}),
         {"tone": {"hz": 60, "level": 2}},
         {"tone": {"hz": 60}},  # the simulated cushion plays none
-        {"sync": 5},
-        {"sync": {}},
-        {"sync": {"try_ms": 5, "store_ms": 5}},
-        {"sync": {"try": 5}},
-        {"sync": {"try_ms": "auto"}},
-        {"sync": {"try_ms": True}},
-        {"sync": {"try_ms": 1e9}},
+        *({"sync": 5}, {"sync": {}}, {"sync": {"try_ms": 5, "store_ms": 5}}, {"sync": {"try": 5}}),
+        *({"sync": {"try_ms": "auto"}}, {"sync": {"try_ms": True}}, {"sync": {"try_ms": 1e9}}),
         {"sync": {"try_ms": -5}},  # without drop-in mode
         {"sync": {"store_ms": None}},
         {"sync": {"store_ms": 5}},  # this run has no two sinks
@@ -192,30 +178,23 @@ def test_a_rule_of_an_application_applies_is_undone_and_goes_to_the_file_only_by
         said = [{n: v for n, v in one.items() if v not in (None, 0.0)} for one in settings["rules"]]
         return said, settings["unsaved_rules"]
 
-    assert rules() == ([], [])
-    assert rule(profile="game") == {"done": True}
+    assert (rules(), rule(profile="game")) == (([], []), {"done": True})
     assert rules() == ([{"match": "Film", "profile": "game"}], ["Film"])
     assert rule(gain_db=-3) == {"done": True}
     assert rules()[0] == [{"match": "Film", "profile": "game", "gain_db": -3.0}]
-    assert daemon.config.read_text() == CONFIG
-    assert daemon.ask(save=True) == {"done": True}
+    assert (daemon.config.read_text(), daemon.ask(save=True)) == (CONFIG, {"done": True})
     saved = f'{CONFIG}\n[[application]]\nmatch = "Film"\nprofile = "game"\ngain_db = -3\n'
-    assert daemon.config.read_text() == saved
-    assert rules()[1] == []
+    assert (daemon.config.read_text(), rules()[1]) == (saved, [])
     assert daemon.ask(application={"match": "film ", "feel": False}) == {"done": True}
-    assert rules() == ([{"match": "Film"}], ["Film"])
-    assert daemon.settings()["unsaved"] == 1
-    assert rule(feel=True) == {"done": True}
-    assert rules()[0] == [{"match": "Film", "feel": True}]
-    assert rule(feel=None) == {"done": True}
-    assert rules() == ([], ["Film"])
+    assert (rules(), daemon.settings()["unsaved"]) == (([{"match": "Film"}], ["Film"]), 1)
+    assert (rule(feel=True), rules()[0]) == ({"done": True}, [{"match": "Film", "feel": True}])
+    assert (rule(feel=None), rules()) == ({"done": True}, ([], ["Film"]))
     for _ in range(3):
         assert daemon.ask(undo=True) == {"done": True}
     assert rules()[1] == []
     for _ in range(2):
         assert daemon.ask(undo=True) == {"done": True}
-    assert rules() == ([], ["Film"])
-    assert daemon.ask(save=True) == {"done": True}
+    assert (rules(), daemon.ask(save=True)) == (([], ["Film"]), {"done": True})
     assert daemon.config.read_text() == CONFIG
 
 
@@ -238,10 +217,8 @@ def test_the_mixed_sound_leaves_an_application_out_by_a_capture_of_the_others(co
 def test_an_offset_on_trial_plays_and_is_none_of_the_config(daemon):
     assert daemon.ask(sync={"try_ms": 120}) == {"done": True}
     status = until_shown(lambda: daemon.watch("status"), lambda one: one["offset_ms"] == 120.0)
-    assert status["offset_reason"] == "set in the config"
-    assert daemon.value("offset_ms") == 20
-    assert daemon.settings()["unsaved"] == 0
-    assert daemon.ask(sync={"try_ms": None}) == {"done": True}
+    assert (status["offset_reason"], daemon.value("offset_ms")) == ("set in the config", 20)
+    assert (daemon.settings()["unsaved"], daemon.ask(sync={"try_ms": None})) == (0, {"done": True})
     until_shown(lambda: daemon.watch("status"), lambda one: one["offset_ms"] == 20.0)
 
 
@@ -272,8 +249,7 @@ def test_mute_works_while_the_file_has_mistakes_and_changes_nothing_else(daemon)
         assert daemon.ask(mute=True) == {"done": True}
         assert daemon.settings()["muted"]
         daemon.config.write_text("gain_db = 0.0\n")
-        assert daemon.ask(mute=False) == {"done": True}
-        assert daemon.value("gain_db") == before
+        assert (daemon.ask(mute=False), daemon.value("gain_db")) == ({"done": True}, before)
     finally:
         daemon.config.write_text(text)
 
@@ -326,6 +302,5 @@ def test_a_file_that_cannot_be_written_is_told_and_nothing_is_lost(daemon):
     daemon.config.rmdir()
     kept.rename(daemon.config)
     assert "config.toml" in error
-    assert daemon.settings()["unsaved"] == 1
-    assert daemon.ask(undo=True) == {"done": True}
+    assert (daemon.settings()["unsaved"], daemon.ask(undo=True)) == (1, {"done": True})
     assert daemon.config.read_text() == text

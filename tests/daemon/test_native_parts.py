@@ -87,11 +87,9 @@ def test_the_first_thing_that_the_native_engine_cannot_do_is_named(changes, reas
 @pytest.mark.parametrize(
     ("kind", "version", "reason"),
     [
-        ("PipeWire", "0.3.65", ""),
-        ("PipeWire", "1.2.0", ""),
+        *(("PipeWire", "0.3.65", ""), ("PipeWire", "1.2.0", "")),
         ("PipeWire", "0.3.48", "PipeWire 0.3.48 is too old; 0.3.50 or newer is needed"),
-        ("PipeWire", "?", ""),
-        ("PulseAudio", "16.1", "the sound server is PulseAudio"),
+        *(("PipeWire", "?", ""), ("PulseAudio", "16.1", "the sound server is PulseAudio")),
     ],
 )
 def test_an_old_or_another_server_is_named_and_a_tap_of_over_eight_channels(kind, version, reason):
@@ -242,10 +240,8 @@ def test_the_volume_is_set_again_on_another_server_that_gives_the_same_index(tmp
 @pytest.mark.parametrize(
     ("tap", "device", "is_refused"),
     [
-        ("default", "sink:dac", True),
-        ("app:mpv", "sink:dac", True),
-        ("default", "hw:DAC", True),
-        ("app:mpv", "hw:DAC", False),
+        *(("default", "sink:dac", True), ("app:mpv", "sink:dac", True)),
+        *(("default", "hw:DAC", True), ("app:mpv", "hw:DAC", False)),
     ],
 )
 def test_a_python_engine_without_alsas_plugin_is_refused(tap, device, is_refused, monkeypatch):
@@ -280,8 +276,7 @@ def test_designs_of_a_process_are_those_that_would_be_made_here():
         assert plan
         assert design
         here = plan.design()
-        assert design == here
-        assert design.worst_second == here.worst_second
+        assert (design, design.worst_second) == (here, here.worst_second)
         assert design.bounds().warmest == here.bounds().warmest
         for name, value in here.records.items():
             np.testing.assert_array_equal(design.records[name], value)

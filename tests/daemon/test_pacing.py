@@ -49,8 +49,7 @@ def played(made: Pacer, until_s: float, late_s: float = 0.0) -> None:
 
 @pytest.mark.exhaustive
 def test_a_day_of_blocks_ends_on_the_sample():
-    clock = FrameTime(44_100)
-    blocks = 24 * 3_600 * 44_100 // BLOCK
+    clock, blocks = FrameTime(44_100), 24 * 3_600 * 44_100 // BLOCK
     for _ in range(blocks):
         clock.add(BLOCK, 44_100)
     assert clock.after(0, 44_100) == blocks * BLOCK / 44_100
@@ -86,8 +85,7 @@ def test_jobs_are_done_in_the_order_of_their_due_times_even_after_a_stall():
 
 def test_after_a_stall_all_is_made_up_for_in_bursts_and_nothing_is_left_out():
     job = Blocks()
-    made = pacer(job)
-    stall_s = 0.9 * LATE_MAX_S
+    made, stall_s = pacer(job), 0.9 * LATE_MAX_S
     assert made.step(stall_s) == BREATH_S  # others have their turn
     assert len(job.done_s) == BURST
     for _ in range(10):
@@ -122,13 +120,11 @@ def test_what_a_job_raises_ends_it_and_no_other():
     assert isinstance(bad.error, OSError)
     assert not made.is_doing(bad)
     assert not made.is_doing(good)
-    assert len(good.done_s) == 3
-    assert played_to == float("inf")
+    assert (len(good.done_s), played_to) == (3, float("inf"))
 
 
 def test_its_thread_keeps_real_time_and_an_ended_job_rests_until_it_is_begun_again():
-    job = Blocks()
-    made = Pacer(time.monotonic)
+    job, made = Blocks(), Pacer(time.monotonic)
     began_s = time.monotonic()
     made.begin(job, began_s)
     reached = threading.Event()

@@ -116,8 +116,7 @@ def test_uuids_are_unique_within_and_between_libraries():
     registry = EffectRegistry([CUSHION, LIBRARY])
     uuids = [one.uuid for one in registry.descriptors]
     assert len(set(uuids)) == len(uuids) == 2
-    assert registry.uuids("echoes") == {ECHO_UUID}
-    assert registry.uuids("nothing") == frozenset()
+    assert (registry.uuids("echoes"), registry.uuids("nothing")) == ({ECHO_UUID}, frozenset())
     twice = EffectLibrary("twice", ((descriptor("a"), Probe), (descriptor("b"), Probe)))
     with pytest.raises(UsageError, match="effect 'b' is that of effect 'a'"):
         registry.add(twice)
@@ -156,10 +155,8 @@ def test_what_is_wrong_with_a_library_is_said(name, factory, message):
 @pytest.mark.parametrize(
     ("wrong", "problem"),
     [
-        ({"uuid": "x"}, "has an invalid UUID"),
-        ({"type_uuid": 3}, "has an invalid UUID"),
-        ({"name": ""}, "has no name"),
-        ({"flags": 0}, "has invalid flags"),
+        *(({"uuid": "x"}, "has an invalid UUID"), ({"type_uuid": 3}, "has an invalid UUID")),
+        *(({"name": ""}, "has no name"), ({"flags": 0}, "has invalid flags")),
         ({"parameters": ("gain",)}, "has an invalid parameter"),
         ({"parameters": (Parameter("a", list, 1),)}, "has an invalid parameter"),
         ({"parameters": (Parameter("a", int, 5, 6, 7),)}, "default of a .6 to 7. is out of its"),

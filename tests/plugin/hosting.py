@@ -43,15 +43,9 @@ Run = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_ulong)
 Call = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
 Descriptor._fields_ = [
-    ("implementation", ctypes.c_void_p),
-    ("instantiate", Instantiate),
-    ("connect_port", Connect),
-    ("activate", Call),
-    ("run", Run),
-    ("run_adding", ctypes.c_void_p),
-    ("set_run_adding_gain", ctypes.c_void_p),
-    ("deactivate", ctypes.c_void_p),
-    ("cleanup", Call),
+    *(("implementation", ctypes.c_void_p), ("instantiate", Instantiate), ("connect_port", Connect)),
+    *(("activate", Call), ("run", Run), ("run_adding", ctypes.c_void_p)),
+    *(("set_run_adding_gain", ctypes.c_void_p), ("deactivate", ctypes.c_void_p), ("cleanup", Call)),
 ]
 
 
@@ -129,15 +123,17 @@ def damaged(design: bytes) -> dict[str, bytes]:
     }
 
 
-def any_sound(rng: np.random.Generator, rate_hz: int, frames: int, channels: int) -> Floats:
-    """Bursts of tones and noise in unequal and opposite channels, with unusable samples in them."""
+def any_sound(
+    rng: np.random.Generator, rate_hz: int, frames: int, channels: int, odd: Sequence[float] = ODD
+) -> Floats:
+    """Bursts of tones and noise in unequal and opposite channels, with odd samples in them."""
     at_s = np.arange(frames) / rate_hz
     tones = np.sin(2 * np.pi * 440.0 * at_s) + 0.4 * np.sin(2 * np.pi * 1_130.0 * at_s)
     parts = rng.uniform(-0.5, 0.5, channels) * tones[:, None]
     parts += 0.05 * rng.standard_normal(parts.shape)
     parts *= ((at_s % 0.5) < 0.3)[:, None]
-    for odd in ODD:
-        parts[rng.integers(0, frames, 5), rng.integers(0, channels, 5)] = odd
+    for sample in odd:
+        parts[rng.integers(0, frames, 5), rng.integers(0, channels, 5)] = sample
     return parts.astype(np.float32)
 
 
@@ -180,8 +176,7 @@ class Instance:
 
     def run(self, sound: Floats, *, in_place: bool = False) -> Floats:
         """The vibration of a block, (frames, outputs)."""
-        frames = len(sound)
-        rows = np.ascontiguousarray(sound.T, np.float32)
+        frames, rows = len(sound), np.ascontiguousarray(sound.T, np.float32)
         out = rows if in_place else np.full((len(self._outputs), frames), np.nan, np.float32)
         for row, port in zip(rows, self._inputs, strict=True):
             self._variant.connect_port(self._handle, port, row.ctypes.data)
