@@ -229,17 +229,22 @@ def test_any_numbers_make_a_core_that_runs_or_none(
 
 
 @given(
+    samples=st.lists(st.floats(width=32), min_size=1, max_size=200),
     gains=st.lists(st.floats(), min_size=3, max_size=3),
     delays=st.lists(st.floats(), min_size=3, max_size=3),
     sources=st.lists(st.integers(0, 2**64 - 1), min_size=3, max_size=3),
     sound_gain=st.floats(),
 )
 @settings(max_examples=100, deadline=None)
-def test_any_controls_give_finite_signals_within_full_scale(
-    gains: list[float], delays: list[float], sources: list[int], sound_gain: float
+def test_any_sound_and_controls_give_finite_signals_within_full_scale(
+    samples: list[float],
+    gains: list[float],
+    delays: list[float],
+    sources: list[int],
+    sound_gain: float,
 ) -> None:
     core = Core(WHOLE)
-    for part in np.split(SOUND, 3):
+    for part in (*np.split(SOUND, 3), np.resize(np.array(samples, np.float32), (2_000, 2))):
         core.process(part)
         core.controls.sound_gain = sound_gain
         for controls, gain, delay, source in zip(
@@ -249,13 +254,6 @@ def test_any_controls_give_finite_signals_within_full_scale(
         out = core.process(part)
         assert np.isfinite(out).all()
         assert np.abs(out).max() <= 1.0 + 1e-6
-
-
-@given(samples=st.lists(st.floats(width=32), min_size=1, max_size=200))
-@settings(max_examples=100, deadline=None)
-def test_any_sound_gives_finite_signals(samples: list[float]) -> None:
-    out = Core(WHOLE).process(np.resize(np.array(samples, np.float32), (2_000, 2)))
-    assert np.isfinite(out).all()
 
 
 @pytest.mark.parametrize("name", [n for n in OF_DRIVES if np.ndim(RECORDS[n]) and "/" in n])

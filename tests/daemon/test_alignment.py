@@ -6,16 +6,13 @@ from typing import Any, cast
 
 import pytest
 
-from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.alignment import Alignment
 from audioflinger_hook.daemon.declared import LOOK_S, ORDINARY_S
 from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.offset import DECLARED, FOLLOWED_S, UNKNOWN
 from audioflinger_hook.daemon.offset_store import OffsetStore, SinkPair
-from audioflinger_hook.daemon.run_config import RunConfig
-from audioflinger_hook.sources import parse_tap
-from device.address import parse_device
 from device.clock.delay_control import DelayState, DelayStatus
+from tests.support.run_configs import config
 from tests.support.snapshots import monitor, sink, snapshot, source, stream
 
 SPEAKERS, HEADPHONES, CUSHION = (sink(n, name) for n, name in enumerate(("tv", "bt", "cushion")))
@@ -26,8 +23,6 @@ class Case:
     """An alignment on PulseAudio with the Python engine, and what it was told and has done."""
 
     def __init__(self, store: OffsetStore | None = None, **live: Any) -> None:
-        device = parse_device("cushion")
-        config = RunConfig(parse_tap("default"), device, Settings(), LiveSettings(**live))
         self.python = SimpleNamespace(
             delay_line=SimpleNamespace(status=DelayStatus(OWN_S, state=DelayState.LOCKED)),
             framework=SimpleNamespace(latency_s=0.0),
@@ -42,7 +37,9 @@ class Case:
         self.queries = 0
         self.connection = SimpleNamespace(latest=snapshot("PulseAudio"), latencies_s=self._query)
         known = store or OffsetStore()
-        self.made = Alignment(config, cast(Any, engines), cast(Any, drop_in), known, lambda: None)
+        self.made = Alignment(
+            config(**live), cast(Any, engines), cast(Any, drop_in), known, lambda: None
+        )
         self.now_s = 0.0
 
     def _query(self) -> dict[str, float]:

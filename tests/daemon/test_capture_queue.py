@@ -6,9 +6,11 @@ import threading
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
+from hypothesis import settings as examples
 from hypothesis import strategies as st
 
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.capture_queue import (
     UNASKED_S,
     CaptureQueue,
@@ -23,25 +25,27 @@ from device.units import Float32Array
 RATE_HZ = 48_000
 BLOCK = 256
 BLOCK_S = BLOCK / RATE_HZ
+STILL = Clocks(lambda: 0.0, lambda: 0.0)
 
 
 class Live:
     """A feed and its engine between two streams; keeps what was mixed, felt and played."""
 
-    def __init__(self, feed: Feed, samplerate: int = RATE_HZ, block_frames: int = BLOCK) -> None:
+    def __init__(self, feed: Feed, settings: Settings | None = None) -> None:
         self.feed = feed
         self.mixed: list[Float32Array] = []
         self.felt: list[Float32Array] = []
         self.played: list[Float32Array] = []
         self.engine = Engine(
-            feed.client(samplerate, 2),
+            feed.client(RATE_HZ, 2),
             RATE_HZ,
-            clocks=Clocks(lambda: 0.0, lambda: 0.0),
-            block_frames=block_frames,
+            settings,
+            clocks=STILL,
+            block_frames=BLOCK,
             on_step=self._stepped,
         )
         feed.serve(self.engine)
-        feed.opened(samplerate, 2)
+        feed.opened(RATE_HZ, 2)
 
     def _stepped(self, audio: Float32Array, vibration: Float32Array, now_s: float) -> None:
         self.mixed.append(audio.copy())
@@ -133,7 +137,7 @@ def test_what_was_read_ahead_of_a_gap_is_not_played_after_it():
 
 
 @given(st.lists(st.integers(1, 1_500), min_size=20, max_size=60))
-@settings(max_examples=10, deadline=None)
+@examples(max_examples=10, deadline=None)
 def test_requests_of_any_sizes_get_every_frame_once_and_in_order(sizes):
     live = live_after(3.0)
     taken: list[Float32Array] = []

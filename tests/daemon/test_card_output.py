@@ -14,17 +14,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon import endpoints
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.outputs.base import Fill
 from audioflinger_hook.daemon.outputs.card import CardOutput
-from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.daemon.timing import Wake
 from audioflinger_hook.mixer.pcm import PcmFormat, decode, encode
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
-from audioflinger_hook.sources import TapAddress
 from device.address import DeviceAddress, parse_device
 from device.drive import ActuatorSettings
 from device.drive.safety import SafetyState
@@ -34,6 +32,7 @@ from device.stream.pcms import CardDevice, PcmConfig, Target
 from device.units import Float32Array
 from tests.support.alsa_files import BLOCK_S, ToFile, portaudio_with, until
 from tests.support.commands import call, noise, refused, sound
+from tests.support.run_configs import config
 from tests.support.sound_cards import ADAPTIVE, ASYNC, HW_PARAMS, Cards
 
 RATE = 48_000
@@ -42,8 +41,8 @@ TONE = (0.1 * np.sin(np.arange(256) * 0.1)).astype(np.float32)
 
 @pytest.fixture(scope="module")
 def pcms():
-    with portaudio_with("cushion_output") as config:
-        yield config
+    with portaudio_with("cushion_output") as found:
+        yield found
 
 
 class Rig:
@@ -229,9 +228,8 @@ def test_a_card_that_another_program_plays_on_is_waited_for(rig):
 
 
 def test_a_card_that_plays_another_format_than_asked_for_is_opened_in_that_one(rig):
-    folder, other_card = rig.cards.plug(30, "PCH"), DeviceAddress("hw", "PCH")
-    config = RunConfig(TapAddress("default"), other_card, Settings(), LiveSettings())
-    assert rig.output.retarget(config)
+    folder = rig.cards.plug(30, "PCH")
+    assert rig.output.retarget(config("hw:PCH"))
     rig.output.set_format(RATE, 1)
     (folder / "pcm0p/sub0/hw_params").write_text(HW_PARAMS.format("S16_LE", 2, RATE))
     with pytest.raises(LostError, match="hw:PCH,0 plays S16_LE instead of S32_LE"):
@@ -304,10 +302,7 @@ class DaemonRig:
         monkeypatch.setattr(endpoints, "CardOutput", FileCard)
         source = sound(folder / "in.wav", noise(20 * FILE_RATE, 2), FILE_RATE)
         # without real-time priority: a file that takes all at once must not keep others waiting
-        live = LiveSettings(realtime=False)
-        self.order = RunConfig(
-            TapAddress("file", str(source)), DeviceAddress("hw", "DAC"), Settings(), live
-        )
+        self.order = config("hw:DAC", tap=(f"file:{source}",), realtime=False)
         self.wake = Wake()
         self.jumped_s = self.slept_s = 0.0
         # a stream tells by the same clock when it was called

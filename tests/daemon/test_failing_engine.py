@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import pytest
 
-from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon import engines as engines_module
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.engines import Engines
@@ -23,18 +23,15 @@ from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.daemon.run_config import RunConfig, changes_between
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
 from audioflinger_hook.service.state import StateKeeper
-from audioflinger_hook.sources import parse_tap
-from device.address import parse_device
 from device.errors import LostError
 from device.server import PulseConnection
 from device.server.graph import Graph
 from device.server.snapshot import Sink, Source
+from tests.support.run_configs import config
 
 SINK = Sink(1, "dac", "DAC", "dac.monitor", 48_000, 2, None, {}, "front-left,front-right")
 SOURCE = Source(2, "desk.monitor", "Desk", "desk", 48_000, 2, {}, "front-left,front-right")
-CONFIG = RunConfig(
-    parse_tap("default"), parse_device("sink:dac"), Settings(), LiveSettings(device="sink:dac")
-)
+CONFIG = config()
 PLAN = ChainPlan.of(Settings(), Tap("desk", ("FL", "FR"), "desk"), 48_000)
 
 
@@ -110,8 +107,8 @@ def test_the_engine_is_chosen_when_a_server_or_a_config_begins_only(tmp_path, mo
         engines._choose(connection, SOURCE)
         return engines.reason
 
-    def follow(config: RunConfig) -> None:
-        engines.follow(config, changes_between(CONFIG, config))
+    def follow(wanted: RunConfig) -> None:
+        engines.follow(wanted, changes_between(CONFIG, wanted))
 
     assert chosen(first) == ""
     engines.reason = "the native engine failed"

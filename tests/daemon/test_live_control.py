@@ -13,15 +13,12 @@ from typing import Any, cast
 import pytest
 
 from audioflinger_hook.config.edits import LiveEdits
-from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon import live_control
 from audioflinger_hook.daemon.live_control import LiveControl
-from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
-from audioflinger_hook.sources import TapAddress
-from device.address import DeviceAddress
 from tests.service.test_watch import Client
 from tests.support.commands import start, until
+from tests.support.run_configs import config
 
 CONFIG = """# mine
 gain_db = -3.0 # soft
@@ -257,11 +254,10 @@ def test_mute_works_while_the_file_has_mistakes_and_changes_nothing_else(daemon)
 @pytest.fixture
 def control(tmp_path):
     """What controls a daemon on a sink; nothing carries out its requests but `work`."""
-    device = DeviceAddress("sink", "a")
-    config = RunConfig(TapAddress("default"), device, Settings(), LiveSettings())
+    order = config("sink:a")
     supervisor = cast(Supervisor, SimpleNamespace(endpoints=(("default", "b"), ("sink:a", "a"))))
     edits = LiveEdits(tmp_path / "config.toml")
-    made = LiveControl(supervisor, edits, lambda *_: config, lambda: None, config)
+    made = LiveControl(supervisor, edits, lambda *_: order, lambda: None, order)
     yield made
     made.close()
 

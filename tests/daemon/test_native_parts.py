@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.core.structures import PARTIALS
 from audioflinger_hook.daemon.engine import FADE_S, SoftFade
 from audioflinger_hook.daemon.native import abilities
@@ -34,10 +34,7 @@ from audioflinger_hook.daemon.native.plan import LONGEST_WAIT_S, ChainPlan, Driv
 from audioflinger_hook.daemon.native.run import NativeRun
 from audioflinger_hook.daemon.native.taps import Tap, in_mixing_order, port_names, tap_of
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
-from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import StateKeeper
-from audioflinger_hook.sources import parse_tap
-from device.address import parse_device
 from device.drive import ActuatorSettings
 from device.drive.channel_positions import actuators_of_channels
 from device.drive.design import DriveDesign, DrivePlan
@@ -46,6 +43,7 @@ from device.layouts import layout
 from device.server import PulseConnection
 from device.server.snapshot import ServerSnapshot, Sink, Source
 from tests.support.programs import printed
+from tests.support.run_configs import config
 
 STEREO = "front-left,front-right"
 SURROUND = "front-left,front-right,front-center,lfe,rear-left,rear-right"
@@ -59,12 +57,6 @@ def sink(channel_map: str = STEREO) -> Sink:
 def monitor(channel_map: str = STEREO) -> Source:
     count = channel_map.count(",") + 1
     return Source(2, "desk.monitor", "Desk", "desk", 48_000, count, {}, channel_map)
-
-
-def config(settings: Settings | None = None, device: str = "sink:dac", **live: Any) -> RunConfig:
-    chosen = LiveSettings(device=device, **live)
-    tap, target = parse_tap(chosen.tap[0]), parse_device(device)
-    return RunConfig(tap, target, settings or Settings(), chosen)
 
 
 TWO = (ActuatorSettings((0,), protection="on"), ActuatorSettings((1,), "left"))
@@ -81,7 +73,7 @@ NO_SERVER = "there is no sound server"
     ],
 )
 def test_the_first_thing_that_the_native_engine_cannot_do_is_named(changes, reason):
-    assert why_python(config(Settings(**changes)), None) == reason
+    assert why_python(config(settings=Settings(**changes)), None) == reason
 
 
 @pytest.mark.parametrize(

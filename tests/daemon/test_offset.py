@@ -2,7 +2,6 @@
 
 import pytest
 
-from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.offset import (
     DECLARED,
     FOLLOWED_S,
@@ -15,22 +14,14 @@ from audioflinger_hook.daemon.offset import (
     Offset,
 )
 from audioflinger_hook.daemon.offset_store import OffsetStore, SinkPair
-from audioflinger_hook.daemon.run_config import RunConfig
-from audioflinger_hook.sources import parse_tap
-from device.address import parse_device
 from device.errors import UsageError
 from device.server.forwarding import MAX_DELAY_S, MIN_DELAY_S
+from tests.support.run_configs import config
 
 PAIR, OTHER = SinkPair("speakers", "cushion"), SinkPair("headphones", "cushion")
 OWN_S = 0.009
 NOTHING = Declared()
 BLUETOOTH = Declared(0.2, 0.0, is_known=True)
-
-
-def config(**live):
-    return RunConfig(
-        parse_tap("default"), parse_device("cushion"), Settings(), LiveSettings(**live)
-    )
 
 
 class Case:

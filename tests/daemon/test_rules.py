@@ -5,15 +5,13 @@ from dataclasses import replace
 import pytest
 
 from audioflinger_hook.config.applications import ApplicationRule
-from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.acting_rule import ActingRule, with_rule
 from audioflinger_hook.daemon.applications import applications_in, not_left_out
 from audioflinger_hook.daemon.native.taps import Tap
-from audioflinger_hook.daemon.run_config import RunConfig
-from audioflinger_hook.sources import parse_tap
-from device.address import parse_device
 from device.server.left_out import LeftOut
 from device.server.snapshot import ServerSnapshot, Source, Stream
+from tests.support import run_configs
 from tests.support.browser_streams import PLAYING, RECORDING, felt, properties, scenes
 from tests.support.graphs import desktop, link, node, play, port
 
@@ -24,12 +22,7 @@ SOURCE = Source(2, "desk.monitor", "", "desk", 48_000, 2, {})
 
 
 def config_of(*rules, **live):
-    return RunConfig(
-        parse_tap("default"),
-        parse_device("sink:dac"),
-        Settings(),
-        LiveSettings(application_rules=rules, **live),
-    )
+    return run_configs.config(application_rules=rules, **live)
 
 
 def stream(index, application="", *, binary="", role="", corked=False, latency="", sink="desk"):

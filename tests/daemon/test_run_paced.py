@@ -213,7 +213,7 @@ def test_a_full_disk_is_the_end_of_a_file_and_of_the_run(tmp_path, folder):
 
 
 NAMED = ("--config", "{}/names.toml")
-NO_NAMES = "channel front-left does not exist; its channels have numbers only"
+NO_NAMES = "channel front-left, but a file, a card itself or the twin has no such channel"
 
 
 @pytest.mark.sweep

@@ -15,38 +15,14 @@ from audioflinger_hook.pipeline.framework import Framework
 from audioflinger_hook.sources import FramesTap, TapClient
 from device.drive.outputs import FADE_S
 from device.errors import UsageError
-from tests.effect.test_registry import HALVER, HALVER_UUID, entry
+from tests.effect.test_registry import EFFECT, HALVER, HALVER_UUID, entry
 from tests.support.commands import call, listing, refused, sound, vibration
 from tests.support.pipelines import RATE, music, steps_of, transformed
 
 OTHER_UUID = UUID("5d0a6a3e-95f9-4b6c-8f6e-0d6a5a4f0007")
 
-OTHER = f"""
-    from uuid import UUID
-    from audioflinger_hook.effect.interface import OK, EffectDescriptor, EffectFlag
-    from audioflinger_hook.effect.registry import EffectLibrary
-
-    NOW_S = [0.0]
-    SEEN = [0]
-    FLAGS = EffectFlag.INSERT
-
-    OTHER = EffectDescriptor(UUID(int=9), UUID("{OTHER_UUID}"), "Other", "somebody else", FLAGS)
-
-    class Other:
-        descriptor = OTHER
-
-        def process(self, source, target):
-            SEEN[0] += 1
-            if SEEN[0] > 3:
-                MISBEHAVE
-            target.audio[:] = -source.audio
-            return OK
-
-        def command(self, code, data=None):
-            return OK, None
-
-    LIBRARY = EffectLibrary("other", ((OTHER, Other),))
-"""
+MISBEHAVES = f"if SEEN[0] > 3: MISBEHAVE\n{' ' * 12}target.audio[:] = -source.audio"
+OTHER = EFFECT.format(name="Other", library="other", uuid=OTHER_UUID, does=MISBEHAVES)
 
 
 def effects_xml(*libraries, effects, applied):
@@ -163,7 +139,7 @@ def test_a_rendering_runs_its_configs_effects_and_warns_of_one_bypassed(tmp_path
     assert done.code == 0
     warning = (
         "effect bypassed: session 0, Other: "
-        "raised KeyError: 'lost' in process (other_package.py, line 18)"
+        "raised KeyError: 'lost' in process (other_package.py, line 15)"
     )
     assert done.stderr == f"cushion: warning: {warning}\n"
     assert json.loads(done.stdout)["warnings"] == [warning]

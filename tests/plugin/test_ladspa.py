@@ -104,8 +104,10 @@ def test_a_variant_gives_the_bytes_of_ctypes_at_any_rate_with_any_blocks_sound_a
     np.testing.assert_array_max_ulp(got[:, 0], wanted, maxulp=int(gain != 1.0))
 
 
-def test_inputs_may_be_the_outputs(plug: Plug) -> None:
+def test_activate_begins_a_new_stream_whose_inputs_may_be_the_outputs(plug: Plug) -> None:
     instance = plug("paper")
+    instance.run(SOUND[: RATE_HZ // 3])
+    instance.activate()
     parts = [instance.run(part, in_place=True) for part in split(SOUND, (480, 5_000))]
     assert np.array_equal(np.concatenate(parts)[:, 1], vibration(SOUND, "paper", RATE_HZ))
 
@@ -115,13 +117,6 @@ def test_mono_takes_one_channel(plug: Plug) -> None:
     assert one.channels == 1
     got = np.concatenate([one.run(part) for part in split(SOUND[:, :1], (1024,))])
     assert np.array_equal(got[:, 0], vibration(SOUND[:, :1], LIVE_DEFAULT, RATE_HZ))
-
-
-def test_activate_begins_a_new_stream(plug: Plug) -> None:
-    instance = plug("cinema")
-    instance.run(SOUND[: RATE_HZ // 3])
-    instance.activate()
-    assert np.array_equal(instance.run(SOUND)[:, 0], vibration(SOUND, "cinema", RATE_HZ))
 
 
 def test_it_reports_latency_and_peaks(plug: Plug) -> None:
@@ -445,7 +440,9 @@ def test_without_a_design_there_is_no_plugin_with_a_bad_one_silence_and_why(tmp_
     assert all(said.count("\n") == 1 for _, said in (refused, *silent))
 
 
-def test_a_design_for_other_channels_gives_silence_and_another_page_nothing(tmp_path: Path) -> None:
+def test_other_channels_give_silence_another_page_nothing_and_an_empty_name_is_no_page(
+    tmp_path: Path,
+) -> None:
     design, page = tmp_path / "design", tmp_path / "page"
     design.write_bytes(driven_design(RATE_HZ, 8, (), [None]))
     variables = {"HAPTIC_CUSHION_DESIGN": str(design)}
@@ -457,12 +454,9 @@ def test_a_design_for_other_channels_gives_silence_and_another_page_nothing(tmp_
     ((did, said),) = tried(paths, label="haptic_cushion_daemon")
     assert did == "refused"
     assert "the daemon's page cannot be used: it is of another version" in said
-
-
-def test_an_empty_name_of_the_page_is_no_page(tmp_path: Path) -> None:
     write_design(tmp_path / "cushion", "paper", RATE_HZ)
-    cases = [{"XDG_DATA_HOME": str(tmp_path / "cushion"), "HAPTIC_CUSHION_PAGE": ""}]
-    assert tried(*cases, label="haptic_cushion_daemon") == [("played", "")]
+    unnamed = {"XDG_DATA_HOME": str(tmp_path / "cushion"), "HAPTIC_CUSHION_PAGE": ""}
+    assert tried(unnamed, label="haptic_cushion_daemon") == [("played", "")]
 
 
 def test_the_variants_are_those_that_hosts_and_the_daemon_ask_for() -> None:

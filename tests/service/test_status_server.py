@@ -383,6 +383,6 @@ def test_a_daemon_that_hangs_or_drips_is_left_after_the_timeout(tmp_path, behave
     ids=range(6),
 )
 def test_an_answer_that_is_not_understood_is_an_error_of_one_line(tmp_path, reply, message):
-    with odd_daemon(tmp_path, lambda accepted: accepted.sendall(reply)):
-        with pytest.raises(InternalError, match=message):
-            ask_status(DEADLINE_S, time.monotonic, {"XDG_RUNTIME_DIR": str(tmp_path)})
+    replies = odd_daemon(tmp_path, lambda accepted: accepted.sendall(reply))
+    with replies, pytest.raises(InternalError, match=message):
+        ask_status(DEADLINE_S, time.monotonic, {"XDG_RUNTIME_DIR": str(tmp_path)})
