@@ -198,8 +198,7 @@ def test_a_profile_levels_the_resonance_of_a_rig_that_is_set(name: str) -> None:
     plain = Settings(profile=name)
     assert plain.transform_parameters.strength == "felt"
     for settings in (
-        replace(plain, rig="consumer"),
-        replace(plain, damping="auto"),
+        *(replace(plain, rig="consumer"), replace(plain, damping="auto")),
         replace(plain, protection="on"),
     ):
         levelled = settings.transform_parameters

@@ -3,6 +3,7 @@
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any, cast
+from unittest.mock import Mock
 
 import pytest
 
@@ -23,23 +24,15 @@ class Case:
     """An alignment on PulseAudio with the Python engine, and what it was told and has done."""
 
     def __init__(self, store: OffsetStore | None = None, **live: Any) -> None:
-        self.python = SimpleNamespace(
-            delay_line=SimpleNamespace(status=DelayStatus(OWN_S, state=DelayState.LOCKED)),
-            framework=SimpleNamespace(latency_s=0.0),
-            drive=SimpleNamespace(latency_frames=0),
-            samplerate=48_000,
-        )
-        engines = SimpleNamespace(
-            native=SimpleNamespace(engine=None), python=self.python, set_offset=lambda _: None
-        )
+        latencies = {"framework.latency_s": 0.0, "drive.latency_frames": 0}
+        self.python = Mock(samplerate=48_000, **latencies)
+        self.python.delay_line.status = DelayStatus(OWN_S, state=DelayState.LOCKED)
+        engines = Mock(python=self.python, **{"native.engine": None})
         drop_in = SimpleNamespace(target_name="tv", set_delay=lambda _: None)
-        self.latencies_s = {"tv": 0.0, "bt": 0.2, "cushion": 0.0}
-        self.queries = 0
+        self.latencies_s, self.queries = {"tv": 0.0, "bt": 0.2, "cushion": 0.0}, 0
         self.connection = SimpleNamespace(latest=snapshot("PulseAudio"), latencies_s=self._query)
-        known = store or OffsetStore()
-        self.made = Alignment(
-            config(**live), cast(Any, engines), cast(Any, drop_in), known, lambda: None
-        )
+        known, told = store or OffsetStore(), config(**live)
+        self.made = Alignment(told, engines, cast(Any, drop_in), known, lambda: None)
         self.now_s = 0.0
 
     def _query(self) -> dict[str, float]:
@@ -113,16 +106,13 @@ def test_the_delay_of_another_sink_is_forgotten_before_the_next_one_plays():
     assert (case.pass_s(0.2, monitor(SPEAKERS)), case.pass_s(0.2)[1]) == ((0.0, UNKNOWN), DECLARED)
 
 
-def test_applications_are_heard_where_they_all_play():
+def test_applications_are_heard_where_they_all_play_and_a_microphone_nowhere():
     case = Case()
     both = stream(1, 0, "tv"), stream(2, 1, "bt")
     assert case.pass_s(1.0, Applications(both[1:]))[1] == DECLARED
     assert case.pass_s(1.0, Applications())[1] == DECLARED  # between two songs
     assert case.pass_s(1.0, Applications(both)) == (0.0, UNKNOWN)
     assert case.pass_s(1.0, Applications(both, sink="bt"))[1] == DECLARED
-
-
-def test_a_microphone_is_heard_nowhere():
     assert Case().pass_s(1.0, source(9, "microphone")) == (0.0, UNKNOWN)
 
 

@@ -149,8 +149,7 @@ def test_requests_of_any_sizes_get_every_frame_once_and_in_order(sizes):
         return count
 
     live.engine.delay_line.read = kept  # type: ignore[method-assign]
-    held, before = live.engine.read_ahead.copy(), len(live.played)
-    now_s = 3.0
+    held, before, now_s = live.engine.read_ahead.copy(), len(live.played), 3.0
     for frames in sizes:
         live.fill(now_s, frames)
         now_s += frames / RATE_HZ
@@ -162,8 +161,7 @@ def test_long_delays_do_not_let_sound_wait_for_more_than_a_cycle():
     sound, live = music(4.0), Live(CaptureQueue())
     live.engine.delay_line.offset_s = 0.5
     live.run(sound, lateness(len(sound) // BLOCK, 0.0))
-    delivered = len(sound) // BLOCK * BLOCK
-    assert delivered - live.engine.frames <= live.engine.frames_max + BLOCK
+    assert (len(sound) // BLOCK * BLOCK) - live.engine.frames <= live.engine.frames_max + BLOCK
 
 
 def test_without_an_output_sound_is_mixed_as_it_comes():
@@ -195,8 +193,7 @@ def test_two_threads_lose_nothing_and_keep_the_order():
     sys.setswitchinterval(1e-5)
     try:
         feed = CaptureQueue()
-        live, blocks = Live(feed), 3_000
-        ended = threading.Event()
+        live, blocks, ended = Live(feed), 3_000, threading.Event()
 
         def play() -> None:
             while not ended.is_set():

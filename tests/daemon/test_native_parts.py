@@ -42,6 +42,7 @@ from device.errors import LostError, NotFoundError, UsageError
 from device.layouts import layout
 from device.server import PulseConnection
 from device.server.snapshot import ServerSnapshot, Sink, Source
+from tests.support.alsa_files import until
 from tests.support.programs import printed
 from tests.support.run_configs import config
 
@@ -323,20 +324,10 @@ def test_a_chain_plays_on_where_the_next_ones_design_fails(tmp_path, monkeypatch
     wanted = ChainPlan.of(Settings(**cast(Any, CARE)), tap, 48_000)
     chains = Chains(config(), tmp_path, lambda *_: None, DriveDesigns())
     monkeypatch.setattr(module, "designs_of", failing)
-    chain = SimpleNamespace(
-        plan=before,
-        wanted=SimpleNamespace(has_run=True),
-        is_changing=False,
-        note_change=lambda: None,
-        can_become=lambda plan: True,
-    )
+    chain = Mock(plan=before, is_changing=False)
     current: Any = SimpleNamespace(chain=chain, stands_s=lambda _: 0.0)
     chains.current = current
-    deadline_s = time.monotonic() + 20.0
-    while not chains.problem:
-        chains.make(wanted, time.monotonic())
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
+    until(lambda: chains.make(wanted, time.monotonic()) or chains.problem)
     assert chains.problem == (
         "the former settings play on: damping and protection cannot be computed: "
         "ZeroDivisionError: no design"
@@ -346,11 +337,8 @@ def test_a_chain_plays_on_where_the_next_ones_design_fails(tmp_path, monkeypatch
     chains.make(before, time.monotonic())
     assert not chains.problem
     chains.current = None  # nothing plays: the engine fails
-    with pytest.raises(LostError, match="cannot be computed"):  # noqa: PT012
-        while True:
-            chains.make(wanted, time.monotonic())
-            assert time.monotonic() < deadline_s
-            time.sleep(0.01)
+    with pytest.raises(LostError, match="cannot be computed"):
+        until(lambda: chains.make(wanted, time.monotonic()))
 
 
 def test_the_daemon_does_not_import_what_takes_most_memory():

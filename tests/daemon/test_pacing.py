@@ -17,8 +17,7 @@ class Blocks:
     def __init__(self, frames: int = BLOCK, blocks: int | None = None) -> None:
         self.error: Exception | None = None
         self.done_s: list[float] = []
-        self._played = FrameTime(RATE_HZ)
-        self._frames = frames
+        self._played, self._frames = FrameTime(RATE_HZ), frames
         self._blocks = blocks
 
     @property
@@ -105,8 +104,7 @@ def test_a_long_stall_is_a_pause_for_all_jobs_alike():
     assert len(other.done_s) - before[1] <= 1
     assert 0.0 < wait_s <= 960 / RATE_HZ
     # their distance is what it was: the next due times differ by less than a block of each
-    steps = [made.step(1_000.0 + 0.001 * n) for n in range(100)]
-    assert max(steps) <= 256 / RATE_HZ + 1e-9
+    assert max(made.step(1_000.0 + 0.001 * n) for n in range(100)) <= 256 / RATE_HZ + 1e-9
 
 
 def test_what_a_job_raises_ends_it_and_no_other():
@@ -124,8 +122,7 @@ def test_what_a_job_raises_ends_it_and_no_other():
 
 
 def test_its_thread_keeps_real_time_and_an_ended_job_rests_until_it_is_begun_again():
-    job, made = Blocks(), Pacer(time.monotonic)
-    began_s = time.monotonic()
+    job, made, began_s = Blocks(), Pacer(time.monotonic), time.monotonic()
     made.begin(job, began_s)
     reached = threading.Event()
     while len(job.done_s) < 100:

@@ -76,8 +76,7 @@ def test_a_browsers_call_is_left_out_while_its_film_is_felt(browser, server, sce
 def test_a_client_that_records_only_what_a_sink_plays_makes_no_call():
     graph, one = desktop(), {"application.name": "Recorder", "media.name": "take 1"}
     play(graph, 60, "recorder", 10, **one)
-    recorder = {**one, "stream.capture.sink": True}
-    graph.apply([node(80, "tape", "Stream/Input/Audio", **recorder)])
+    graph.apply([node(80, "tape", "Stream/Input/Audio", **{**one, "stream.capture.sink": True})])
     assert tapped(graph) == {61, 62}
     graph.apply([node(81, "microphone", "Stream/Input/Audio", **one)])
     assert tapped(graph) == set()
@@ -113,8 +112,7 @@ FIREFOX = {"application": "Firefox", "binary": "firefox-bin"}
     [
         ((ApplicationRule(match="fire*", feel=False),), {}, {}),
         ((ApplicationRule(match="firefox-bin", feel=False),), {}, {}),
-        ((), {}, {"role": "phone"}),
-        ((), {"exclude": ("fire*",)}, {}),
+        *(((), {}, {"role": "phone"}), ((), {"exclude": ("fire*",)}, {})),
         ((), {"include": ("mpv",)}, {}),
     ],
 )

@@ -70,10 +70,7 @@ def same_again(folder: Path, out: Path) -> int:
 
 
 def overlap(folder: Path, out: Path, report: str) -> int:
-    """How many frames the recorded effect and its replay have in common, bit for bit: all.
-
-    report: what `cushion replay --json` said of it. The replay has no latency.
-    """
+    """How many frames a recorded effect and its replay, of this JSON, share bit for bit: all."""
     told = json.loads(report)
     latency = round(told["latency_s"] * told["samplerate"])
     effect, again = recorded(folder, "effect")[latency:], vibration(out)

@@ -224,8 +224,7 @@ def test_coils_that_play_just_after_a_suspend_have_cooled_by_it_and_warmed_since
     played(drive, 0.5)  # the sound server goes on before the daemon does
     before = state_of(drive)
     rig.keep(100.5, 7.0 + HOUR_S)
-    state = state_of(drive)
-    true_c = rested(119.0, 60.0, HOUR_S).coil_c
+    state, true_c = state_of(drive), rested(119.0, 60.0, HOUR_S).coil_c
     assert true_c <= state.coil_c < true_c + 15.0 < before.coil_c
     assert state.dose == before.dose
     drive.process(np.zeros((1, 1)))
@@ -368,23 +367,7 @@ def test_a_clock_that_was_set_back_gives_the_warmest_state_unless_within_a_boot(
     assert "future" in keeper.warning
 
 
-def test_the_dose_is_of_the_day_and_ends_at_midnight_while_it_runs(tmp_path):
-    time = Time()
-    keeper, drive = begun(tmp_path, time)
-    played(drive, 2.0)
-    assert state_of(drive).dose.squares > 0.0
-    time.go(12.5 * HOUR_S)
-    keeper.update(drive.processors, 100.0)
-    played(drive, 0.3)
-    assert state_of(drive).dose.time_s == pytest.approx(0.3, abs=0.11)
-    assert keeper.since == "2026-05-02T00:30+02:00"
-    keeper.update(drive.processors, 101.0)
-    time.go(86_400.0)
-    state, _ = restored(tmp_path, time)
-    assert state.dose.squares == 0.0
-
-
-def test_the_dose_ends_at_midnight_also_while_nothing_plays(tmp_path):
+def test_the_dose_is_of_the_day_and_ends_at_midnight_whether_it_plays_or_waits(tmp_path):
     time = Time()
     keeper, drive = begun(tmp_path, time)
     played(drive, 2.0)
@@ -395,10 +378,14 @@ def test_the_dose_ends_at_midnight_also_while_nothing_plays(tmp_path):
     assert state_of(waiting).dose.squares > 0.0
     time.go(12.5 * HOUR_S)
     keeper.update((*drive.processors, *waiting.processors), 100.0)
-    assert state_of(drive).dose.squares == 0.0  # has played yesterday
-    assert state_of(waiting).dose.squares == 0.0
-    played(waiting, 0.3)
-    assert state_of(waiting).dose.time_s == pytest.approx(0.3, abs=0.11)
+    assert keeper.since == "2026-05-02T00:30+02:00"
+    for one in (drive, waiting):  # one has played yesterday
+        assert state_of(one).dose.squares == 0.0
+        played(one, 0.3)
+        assert state_of(one).dose.time_s == pytest.approx(0.3, abs=0.11)
+    keeper.update(drive.processors, 101.0)
+    time.go(24.0 * HOUR_S)
+    assert restored(tmp_path, time)[0].dose.squares == 0.0
 
 
 def test_another_device_is_cold_but_has_the_dose_of_who_sits_there(tmp_path):

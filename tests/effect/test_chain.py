@@ -99,8 +99,7 @@ def test_a_target_of_another_layout_is_left_alone():
 
 
 def test_effects_added_before_and_after_the_stream_is_known_are_both_configured():
-    chains = EffectChains(FakeClock())
-    early, late = Probe("early", 1), Probe("late", 2)
+    chains, early, late = EffectChains(FakeClock()), Probe("early", 1), Probe("late", 2)
     chains.add(early, 0)
     chains.set_format(RATE, 2, 1, FRAMES)
     chains.add(late, 0)

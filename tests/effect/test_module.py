@@ -30,7 +30,6 @@ def cycle(module, buffer=None):
     module.update_state()
 
 
-# Lifecycle: the orders that AOSP checks.
 ACTIVE = ["enable STARTING:", "cycle ACTIVE:ENABLE", "cycle ACTIVE:process"]
 TAIL = ["disable STOPPING:", "cycle STOPPED:process,DISABLE"]
 LIFECYCLES = {
@@ -190,8 +189,7 @@ MISBEHAVIOURS = [
     (scribble_and_raise, "raised ZeroDivisionError: by zero in the middle in process"),
     (unspeakable, "raised Unspeakable in process"),
     *((Mock(return_value=answer), ANSWERED.format(shown)) for answer, shown in ANSWERS),
-    (exchange, EXCHANGED),
-    (drop, EXCHANGED),
+    *((exchange, EXCHANGED), (drop, EXCHANGED)),
     pytest.param(
         *(reshape, EXCHANGED), marks=pytest.mark.filterwarnings("ignore::DeprecationWarning")
     ),
@@ -309,8 +307,7 @@ def test_the_user_can_still_interrupt():
     [
         (FRAMES, [11, 11, 9, 11, 11, 11, 1], 0.5, 5),
         (FRAMES // 4, [3, 3, 3, 1], 0.5, 3),  # of 2.5 ms for a quarter of 20 ms
-        (FRAMES, [3, 3, 3, 1], 0.5, 0),
-        (FRAMES, [3.6e6, 3.6e6, 3.6e6, 1], float("inf"), 0),
+        *((FRAMES, [3, 3, 3, 1], 0.5, 0), (FRAMES, [3.6e6, 3.6e6, 3.6e6, 1], float("inf"), 0)),
     ],
 )
 def test_three_overruns_in_a_row_of_the_time_for_a_buffers_length_bypass_and_two_do_not(

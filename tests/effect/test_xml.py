@@ -109,8 +109,7 @@ def test_each_mistake_is_named_once_with_its_line(right, wrong, line, reason):
 @pytest.mark.parametrize(
     ("cut", "reason"),
     [
-        ("        <stream type", "no element found"),
-        ("    </postprocess>", "no element found"),
+        *(("        <stream type", "no element found"), ("    </postprocess>", "no element found")),
         ('" uuid="7D7CB2F0', "unclosed token"),
     ],
 )
@@ -157,8 +156,7 @@ def test_entities_are_refused_before_they_can_expand():
 
 
 def test_deeply_nested_elements_do_no_harm():
-    xml = b'<audio_effects_conf version="2.0">' + b"<x>" * 100_000
-    declared = parse_effects(xml, REGISTRY)
+    declared = parse_effects(b'<audio_effects_conf version="2.0">' + b"<x>" * 100_000, REGISTRY)
     assert len(declared.problems) == 2
 
 

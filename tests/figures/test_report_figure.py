@@ -92,8 +92,7 @@ SILENT |= {"audio": np.zeros((16_000, 2)), "principals": [], "events": [], "fact
         (2.0, {"vibration": np.zeros(500), "acceleration_m_s2": np.zeros(7)}),
         *((frames / SAMPLERATE, {"audio": LITTLE[:frames, :2]}) for frames in (1, 16)),
         (0.5, {"audio": LITTLE[:, :1], "samplerate": 1_000}),
-        (0.002, {"audio": LITTLE[:384], "samplerate": 192_000}),
-        (2.0, SILENT),
+        *((0.002, {"audio": LITTLE[:384], "samplerate": 192_000}), (2.0, SILENT)),
     ],
 )
 def test_whatever_comes_is_drawn_without_a_warning(duration_s, changes):
@@ -196,8 +195,7 @@ def test_rows_above_half_the_samplerate_are_empty():
 def test_the_level_map_falls_in_lightness_by_equal_steps():
     linear = rgb_of(palette.LEVEL_COLOURS) / 255
     linear = np.where(linear <= 0.04045, linear / 12.92, ((linear + 0.055) / 1.055) ** 2.4)
-    luminance = linear @ [0.2126, 0.7152, 0.0722]
-    lightness = 116.0 * np.cbrt(luminance) - 16.0
+    lightness = 116.0 * np.cbrt(linear @ [0.2126, 0.7152, 0.0722]) - 16.0
     # colours are rounded to 8 bits, which is up to 0.2 of lightness
     assert np.allclose(np.diff(lightness), np.diff(lightness).mean(), atol=0.5)
 

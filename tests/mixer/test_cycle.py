@@ -92,18 +92,6 @@ def test_one_float_track_passes_idle_chains_bit_identically(seed, channels, hal_
         np.testing.assert_array_equal(audio.view(np.uint32), bits[first : first + mixer.frames])
 
 
-def test_tracks_of_any_rate_and_layout_add_up():
-    mixer, alone = Mixer(RATE, 2), []
-    for channels, rate in ((1, 44_100), (2, 32_000), (6, RATE)):
-        single, sound = Mixer(RATE, 2), noise(2_000, channels, channels)
-        playing(single, sound, rate)
-        alone.append(single.cycle(0.0).buffer.audio.copy())
-        playing(mixer, sound, rate)
-    report = mixer.cycle(0.0)
-    assert report.tracks_mixed == 3
-    np.testing.assert_allclose(report.buffer.audio, np.sum(alone, axis=0), rtol=0, atol=1e-6)
-
-
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=20)
 def test_the_same_graph_in_integers_and_in_float_is_the_same(seed):

@@ -55,8 +55,7 @@ def test_any_split_gives_the_same_bits(rate_in, rate_out, channels, demands, pie
     source = np.random.default_rng(channels).standard_normal((24_000, channels), np.float32)
     whole = resampled(source, rate_in, rate_out, max(total, 1))[:total]
     resampler = Resampler(rate_in, rate_out, channels, 16)
-    sizes, fed = itertools.cycle(pieces), 0
-    parts = []
+    sizes, fed, parts = itertools.cycle(pieces), 0, []
     for demand in demands:
         # in pieces, and further than needed
         end = fed + resampler.frames_needed(demand) + ahead

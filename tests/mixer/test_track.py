@@ -351,8 +351,7 @@ class AnyClient(RuleBasedStateMachine):
         super().__init__()
         self.player = Player(ring_frames=2_500, start_threshold=1_000)
         self.track: Track = self.player.track
-        self.sent = 0
-        self.heard_last = 0
+        self.sent, self.heard_last = 0, 0
 
     @rule(count=st.integers(0, 3_000))
     def write(self, count: int) -> None:

@@ -165,8 +165,7 @@ def test_garbage_instead_of_a_request_and_headers_without_end_are_closed(served,
 @pytest.mark.parametrize(
     "sent",
     [
-        "x" * 5 * 1024,
-        '{"id": 1, "set": {"gain_db": ' + "9" * 5_000 + "}}",
+        *("x" * 5 * 1024, '{"id": 1, "set": {"gain_db": ' + "9" * 5_000 + "}}"),
         *("{", "[1, 2]", '"mute"', "[" * 2_000, '{"mute": true}', '{"id": "1", "mute": true}'),
         *(b"\x00\xff\xfe garbage", b'{"id": 1, "mute": true}'),
     ],

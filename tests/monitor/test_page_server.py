@@ -304,7 +304,7 @@ def partials(live: ClientConnection) -> Any:
     return message(live, "frame")["frame"]["partials"]
 
 
-def test_frames_show_the_memory_of_the_native_engine_while_it_plays(tmp_path, native):
+def test_frames_show_the_native_engines_memory_and_the_daemon_makes_few(tmp_path, native):
     daemon = Native(name="memory", channels=2, actuators=1)
     with daemon_socket(tmp_path, daemon), page(tmp_path) as served, served.live() as live:
 
@@ -320,12 +320,6 @@ def test_frames_show_the_memory_of_the_native_engine_while_it_plays(tmp_path, na
         native.readings.frames += 512  # sound again, and nothing found in it yet
         assert partials(live) == []
         wait_for(lambda: shows(330.0), "the next partial")
-
-
-def test_the_daemon_makes_few_frames_for_a_client_that_reads_its_memory(tmp_path, native):
-    daemon = Native(name="memory", channels=2, actuators=1)
-    with daemon_socket(tmp_path, daemon), page(tmp_path) as served, served.live() as live:
-        message(live, "frame")
         before = daemon.frames
         for _ in range(60):
             message(live, "frame")

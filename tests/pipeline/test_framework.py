@@ -143,8 +143,7 @@ def test_without_actuators_each_channel_of_the_vibration_has_the_settings_rig():
     settings = Settings(rig="consumer", protection="on")
     channel_map = channel_map_of(settings, 2)
     assert channel_map == ChannelMap(2, (0, 1))
-    rig = simulated_rig_of(settings, LOW_RATE, channel_map)
-    assert rig.channels == 2
+    assert simulated_rig_of(settings, LOW_RATE, channel_map).channels == 2
     drive = drive_of(settings, LOW_RATE, 2)
     assert drive.outputs == 2
     assert drive.processors[0] is not None

@@ -151,8 +151,7 @@ class Instance:
     def __init__(self, label: str, rate_hz: int) -> None:
         self._variant = descriptors()[label]
         handle = self._variant.instantiate(ctypes.byref(self._variant), rate_hz)
-        self.made = bool(handle)
-        self._handle = handle
+        self.made, self._handle = bool(handle), handle
         # Ports: 9 is an audio input, 10 an audio output, 4 a bit of controls.
         kinds = [self._variant.port_descriptors[port] for port in range(self._variant.port_count)]
         self._inputs = [port for port, kind in enumerate(kinds) if kind == 9]
@@ -160,8 +159,7 @@ class Instance:
         controls = [port for port, kind in enumerate(kinds) if kind & 4]
         self.controls = (ctypes.c_float * len(controls))()
         for index, port in enumerate(controls if self.made else ()):
-            place = ctypes.addressof(self.controls) + 4 * index
-            self._variant.connect_port(handle, port, place)
+            self._variant.connect_port(handle, port, ctypes.addressof(self.controls) + 4 * index)
         if self.made:
             self._variant.activate(handle)
 

@@ -1,10 +1,7 @@
 """The plugin as a LADSPA host sees it: the bytes of the transform, and no way to stop a host."""
 
 import ctypes
-import json
 import os
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -45,6 +42,7 @@ from tests.plugin.hosting import (
     vibration,
     write_design,
 )
+from tests.support.programs import printed
 
 RATE_HZ = 48_000
 GAIN, DELAY, BYPASS = 0, 1, 2
@@ -185,6 +183,8 @@ Daemon = Callable[..., tuple[Page, Instance]]
 @pytest.fixture
 def daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Daemon]:
     """Makes a page and an instance of a design for it, which end with the test."""
+    os.mkfifo(tmp_path / "changes")
+    monkeypatch.setenv("HAPTIC_CUSHION_CHANGES", str(tmp_path / "changes"))
     with ExitStack() as opened:
 
         def make(design: bytes, channels: int, voices: int, sources: list[int]) -> Any:
@@ -205,16 +205,9 @@ UNDRIVEN = driven_design(RATE_HZ, 2, (), [None])
 HEARS, FADES = round(0.2 * RATE_HZ), round(0.04 * RATE_HZ)  # see daemon_core.c
 
 
-def listening(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The FIFO of changes; the next instance reads it."""
-    changes = folder / "changes"
-    os.mkfifo(changes)
-    monkeypatch.setenv("HAPTIC_CUSHION_CHANGES", str(changes))
-    return changes
-
-
-def change(page: Page, folder: Path, number: int, design: bytes) -> None:
+def change(page: Page, number: int, design: bytes) -> None:
     """Let the plugin change to a design, as the daemon does."""
+    folder = page.path.parent
     (folder / f"design.{number}").write_bytes(design)
     page.prepare(number, 1, [0])
     page.want(number)
@@ -223,15 +216,13 @@ def change(page: Page, folder: Path, number: int, design: bytes) -> None:
     os.close(file)
 
 
-def test_another_design_takes_over_by_a_cross_fade_after_it_has_heard_the_sound(
-    daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_another_design_takes_over_by_a_cross_fade_once_it_heard_the_sound(
+    daemon: Daemon,
 ) -> None:
-    listening(tmp_path, monkeypatch)
     first, second = UNDRIVEN, any_design("protected", RATE_HZ, 2)
     page, instance = daemon(first, 2, 1, [0])
     page.set_audible(True)
-    rng = np.random.default_rng(5)
-    sound, played = [], []
+    rng, sound, played = np.random.default_rng(5), [], []
 
     def play() -> None:
         sound.append(any_sound(rng, RATE_HZ, 1_024, 2))
@@ -239,7 +230,7 @@ def test_another_design_takes_over_by_a_cross_fade_after_it_has_heard_the_sound(
 
     while len(sound) < 20:
         play()
-    change(page, tmp_path, 1, second)
+    change(page, 1, second)
     while page.playing != 1:
         play()
         assert len(sound) < 100_000, "the design was never loaded"
@@ -261,34 +252,31 @@ def test_another_design_takes_over_by_a_cross_fade_after_it_has_heard_the_sound(
     assert got[-1_024:].tobytes() == wanted[-1_024:].tobytes()
 
 
-def test_a_changed_design_that_cannot_be_used_is_refused_and_the_old_one_plays_on(
-    daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_design_that_cannot_be_used_is_refused_and_the_old_one_plays_on(
+    daemon: Daemon,
 ) -> None:
-    listening(tmp_path, monkeypatch)
     page, instance = daemon(UNDRIVEN, 2, 1, [0])
     page.set_audible(True)
     sound = padded(any_sound(np.random.default_rng(6), RATE_HZ, 1_024, 2))
-    change(page, tmp_path, 1, any_design("protected", 44_100, 2))
-    for _ in range(100_000):
-        instance.run(sound)
-        if page.refused:
-            break
+
+    def play_until(condition: Callable[[], int]) -> None:
+        for _ in range(100_000):
+            instance.run(sound)
+            if condition():
+                return
+
+    change(page, 1, any_design("protected", 44_100, 2))
+    play_until(lambda: page.refused)
     assert (page.refused, page.playing) == (1, 0)
-    change(page, tmp_path, 3, any_design("protected", RATE_HZ, 2))
-    for _ in range(100_000):
-        instance.run(sound)
-        if page.playing:
-            break
+    change(page, 3, any_design("protected", RATE_HZ, 2))
+    play_until(lambda: page.playing)
     assert page.playing == 3
     assert instance.run(sound).any()
 
 
-def test_a_host_that_opens_the_plugin_again_gets_the_latest_design(
-    daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    listening(tmp_path, monkeypatch)
+def test_a_host_that_opens_the_plugin_again_gets_the_latest_design(daemon: Daemon) -> None:
     page, instance = daemon(UNDRIVEN, 2, 1, [0])
-    change(page, tmp_path, 1, any_design("protected", RATE_HZ, 2))
+    change(page, 1, any_design("protected", RATE_HZ, 2))
     instance.close()
     again = Instance("haptic_cushion_daemon", RATE_HZ)
     assert page.playing == 1
@@ -315,8 +303,7 @@ def test_the_daemons_variant_gives_the_bytes_of_ctypes_whatever_it_plays(
             one.gain = rng.choice([*rng.uniform(-1.0, 1.0, 10), *ODD])
             one.delay_frames = rng.choice([*rng.uniform(0.0, 2_000.0, 10), *ODD])
             one.source = (0, 1, 2, 2**63)[rng.integers(4)]
-            one.audible = (1, 0, 2**63)[rng.integers(3)]
-            one.restores = rng.integers(2)
+            one.audible, one.restores = (1, 0, 2**63)[rng.integers(3)], rng.integers(2)
             for name, _ in one.safety._fields_:
                 setattr(one.safety, name, rng.choice([*rng.uniform(0.0, 60.0, 10), *ODD]))
         ctypes.memmove(core._controls, ctypes.addressof(controls), ctypes.sizeof(Controls))
@@ -390,37 +377,23 @@ def test_the_daemons_transform_mixes_as_the_python_engine_does(daemon: Daemon) -
 
 
 def tried(*cases: dict[str, str], label: str = "haptic_cushion_paper") -> list[tuple[str, str]]:
-    """What a plugin does with these variables in the environment, and says on stderr.
-
-    In another process, which it must not crash.
-    """
+    """What a plugin does, in another process, with these variables, and says on stderr."""
     inputs = 8 if label == "haptic_cushion_daemon" else 2
-    code = (
-        "from tests.plugin.hosting import Instance; import json, numpy, os, sys\n"
-        "for variables in json.loads(sys.argv[1]):\n"
+    did, said = printed(
+        "from tests.plugin.hosting import Instance; import numpy, os\n"
+        f"for variables in {list(cases)}:\n"
         "    os.environ.update(variables)\n"
         f"    one = Instance('{label}', {RATE_HZ})\n"
         f"    sound = numpy.ones((9_999, {inputs}), numpy.float32)\n"
         "    print('refused' if not one.made else 'played' if one.run(sound).any() else 'silent')\n"
         "    os.write(2, b'--\\n')\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, json.dumps(cases)],
-        cwd=Path(__file__).parents[2],
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    return list(zip(done.stdout.split(), done.stderr.split("--\n"), strict=False))
+    return list(zip(did.split(), "".join(f"{one}\n" for one in said).split("--\n"), strict=False))
 
 
 def test_a_host_may_end_what_was_not_instantiated_as_ffmpeg_does() -> None:
-    code = (
-        "from tests.plugin.hosting import descriptors; "
-        "[one.cleanup(None) for one in descriptors().values()]"
-    )
-    folder = Path(__file__).parents[2]
-    assert subprocess.run([sys.executable, "-c", code], cwd=folder).returncode == 0
+    ends = "[one.cleanup(None) for one in descriptors().values()]"
+    printed(f"from tests.plugin.hosting import descriptors; {ends}")
 
 
 def test_without_a_design_there_is_no_plugin_with_a_bad_one_silence_and_why(tmp_path: Path) -> None:

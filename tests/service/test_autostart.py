@@ -57,10 +57,7 @@ def test_it_is_on_once_switched_on_and_off_once_switched_off(environ, started_by
 
 @pytest.mark.parametrize("started_by", ["systemd"], indirect=True)
 def test_systemd_itself_says_that_the_unit_is_enabled(environ, started_by, tmp_path):
-    """`systemctl --root` reads a tree of folders as a machine's, here with the units of all users.
-
-    Its search path has etc/systemd/user, where administrators enable what users have in their home.
-    """
+    """`systemctl --root` reads a machine's folders; etc/systemd/user has the units of all users."""
     if shutil.which("systemctl") is None:
         pytest.skip("systemd is not installed")
     autostart.set_on(True, environ, PROGRAM)

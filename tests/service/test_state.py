@@ -126,8 +126,7 @@ def test_a_daemon_that_has_reason_to_be_silent_is_fed(state):
 
 @given(st.floats(0.01, 1e4), st.lists(st.floats(0.0, 1.0), min_size=50, max_size=80))
 def test_who_asks_as_often_as_told_feeds_within_half_the_period(period_s, steps):
-    watchdog = Watchdog(period_s)
-    now_s, fed_s = 0.0, [0.0]
+    watchdog, now_s, fed_s = Watchdog(period_s), 0.0, [0.0]
     watchdog.due(0, S.RUNNING, 0.0)
     for buffers, step in enumerate(steps, 1):
         now_s += step * watchdog.check_s
@@ -140,20 +139,14 @@ def test_who_asks_as_often_as_told_feeds_within_half_the_period(period_s, steps)
 @pytest.fixture(params=["path", "abstract"])
 def manager(request, tmp_path):
     """A service manager's socket, and the name of it that a service is given."""
+    folder = os.open(tmp_path, os.O_PATH)  # pytest's folders may be deeper than an address is long
+    path, abstract = f"/proc/self/fd/{folder}/notify", f"@{tmp_path.name}-{os.getpid()}"
+    given = path if request.param == "path" else abstract
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as end:
-        name = f"{tmp_path.name}-{os.getpid()}"
-        if request.param == "path":
-            # pytest's folders may be deeper than an address is long
-            link = f"/proc/self/fd/{os.open(tmp_path, os.O_PATH)}/notify"
-            end.bind(link)
-            given = link
-        else:
-            end.bind(f"\0{name}")
-            given = f"@{name}"
+        end.bind(given.replace("@", "\0"))
         end.settimeout(5.0)
         yield end, given
-        if request.param == "path":
-            os.close(int(link.split("/")[4]))
+    os.close(folder)
 
 
 def test_every_message_arrives_as_systemd_reads_it(manager):
@@ -233,25 +226,19 @@ def test_samples_that_are_not_finite_spoil_nothing(value):
     assert math.isfinite(meter.level().rms_dbfs)
 
 
-def growth(step) -> int:
-    for _ in range(100):
-        step()
-    tracemalloc.start()
-    try:
-        before, _ = tracemalloc.get_traced_memory()
-        for _ in range(2000):
-            step()
-        after, _ = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    return after - before
-
-
 def test_neither_meter_nor_clock_grows():
-    meter, clock = LevelMeter(RATE), BufferClock()
-    block = sine(0.5, 1024)
-    assert growth(lambda: meter.add(block)) < 1000
-    assert growth(lambda: clock.add(0.001, 0.02)) < 1000
+    meter, clock, block = LevelMeter(RATE), BufferClock(), sine(0.5, 1024)
+
+    def held() -> int:
+        for _ in range(2_000):
+            meter.add(block)
+            clock.add(0.001, 0.02)
+        return tracemalloc.get_traced_memory()[0]
+
+    tracemalloc.start()
+    before, after = held(), held()
+    tracemalloc.stop()
+    assert after - before < 1000
 
 
 @given(st.lists(st.floats(2e-6, 9.0), min_size=1, max_size=300))

@@ -288,8 +288,7 @@ def test_another_user_who_reaches_the_socket_gets_no_answer():
 
 
 def test_stopping_closes_everything_and_removes_the_socket(tmp_path):
-    files, threads = open_files(), threading.active_count()
-    daemon = Daemon(str(tmp_path))
+    files, threads, daemon = open_files(), threading.active_count(), Daemon(str(tmp_path))
     with daemon.connect() as client:
         client.sendall(ASK)
         line(client)
@@ -373,8 +372,7 @@ def test_a_daemon_that_hangs_or_drips_is_left_after_the_timeout(tmp_path, behave
 @pytest.mark.parametrize(
     ("reply", "message"),
     [
-        (b"", "cut off or too long"),
-        (b'{"version": ', "cut off or too long"),
+        *((b"", "cut off or too long"), (b'{"version": ', "cut off or too long")),
         (b"x" * 2**21, "cut off or too long"),
         (b"nonsense\n", "is not JSON.*; restart it with this version"),
         (b'{"version": "9"}\n', "has no pid.*; restart it with this version"),

@@ -31,8 +31,7 @@ def level(value, count=BLOCK):
 
 def test_one_voice_passes_bit_for_bit_whatever_its_buffers_are():
     mixer, client, (voice,) = a_mix("player")
-    counts, sound = np.cumsum([256, 7, 1, 960, 5_000, 333]), noise(7_000, 1)
-    parts = []
+    counts, sound, parts = np.cumsum([256, 7, 1, 960, 5_000, 333]), noise(7_000, 1), []
     for part in np.split(sound, counts):
         client.push(voice, part, 0.0)
         parts.append(mixed(mixer, client))
