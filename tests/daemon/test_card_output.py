@@ -350,7 +350,7 @@ def test_a_daemon_that_cannot_open_a_stream_says_why(live, monkeypatch):
     assert (report.state, report.reason) == (DaemonState.STARTING, "the server hangs")
 
 
-def test_another_card_is_gone_over_to_while_it_runs_and_a_sink_is_not(live):
+def test_another_card_is_gone_over_to_and_lost_while_it_runs_and_a_sink_is_not(live):
     live.cards.plug(30, "DAC", stream=ASYNC)
     live.cards.plug(31, "Other", stream=ASYNC)
     live.until(DaemonState.RUNNING)
@@ -363,6 +363,9 @@ def test_another_card_is_gone_over_to_while_it_runs_and_a_sink_is_not(live):
         with pytest.raises(UsageError, match=f"'hw:Other' cannot become '{device}'"):
             live.supervisor.follow(replace(other, device=device), time.monotonic())
     assert live.supervisor.endpoints[1] == ("hw:Other", "hw:Other,0")
+    live.cards.unplug(31)
+    assert "no sound card" in live.until(DaemonState.WAITING_FOR_DEVICE)
+    assert live.supervisor.states.report(live.now_s()).recoveries[Cause.DEVICE_LOST] == 1
 
 
 @pytest.mark.parametrize("is_suspend", [True, False], ids=["suspend", "jump"])
@@ -375,10 +378,10 @@ def test_a_card_is_awaited_and_away_for_hours_and_plays_on_within_3_s_cooler_and
 
     protected = replace(live.order, settings=Settings(protection="on"))
     live.supervisor = Supervisor(protected, live.clocks, live.wake)
-    live.cards.plug(29, "Speakers", stream=ASYNC)
     with pytest.raises(NotFoundError, match="no sound card 'DAC'"):
         live.supervisor.look()
     assert "connect one" in live.until(DaemonState.WAITING_FOR_DEVICE)
+    live.cards.plug(29, "Speakers", stream=ASYNC)
     live.cards.plug(30, "DAC", stream=ONLY_96K)
     live.until(DaemonState.RUNNING)
     (rig,), engine = live.supervisor.engines.rigs, live.supervisor.engines.python
@@ -390,7 +393,6 @@ def test_a_card_is_awaited_and_away_for_hours_and_plays_on_within_3_s_cooler_and
     live.cards.unplug(30)
     pass_an_hour()
     assert "no sound card" in live.until(DaemonState.WAITING_FOR_DEVICE)
-    assert live.supervisor.states.report(live.now_s()).recoveries[Cause.DEVICE_LOST] == 1
     live.run(0.1)
     rig.restore([SafetyState(100.0, 60.0)] * rig.channels, rig._core_readings.frames + 1)
     rig._kept_frames = rig._core_readings.frames
