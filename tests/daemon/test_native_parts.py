@@ -327,7 +327,12 @@ def test_a_chain_plays_on_where_the_next_ones_design_fails(tmp_path, monkeypatch
     chain = Mock(plan=before, is_changing=False)
     current: Any = SimpleNamespace(chain=chain, stands_s=lambda _: 0.0)
     chains.current = current
-    until(lambda: chains.make(wanted, time.monotonic()) or chains.problem)
+
+    def problem() -> str:
+        chains.make(wanted, time.monotonic())
+        return chains.problem
+
+    until(problem)
     assert chains.problem == (
         "the former settings play on: damping and protection cannot be computed: "
         "ZeroDivisionError: no design"

@@ -93,7 +93,7 @@ OF_SCALARS = {
 def any_of(kind: Any) -> st.SearchStrategy[Any]:
     """Any value of a type that the status has."""
     arguments = get_args(kind)
-    if is_dataclass(kind):
+    if isinstance(kind, type) and is_dataclass(kind):
         parts = {name: any_of(part) for name, part in get_type_hints(kind).items()}
         return st.builds(kind, **parts)
     if get_origin(kind) is tuple:
