@@ -10,7 +10,7 @@ from types import MappingProxyType, SimpleNamespace
 from typing import Any, get_args, get_origin, get_type_hints
 
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rich.cells import cell_len
 from rich.console import Console
@@ -107,8 +107,10 @@ def any_of(kind: Any) -> st.SearchStrategy[Any]:
 
 
 statuses = any_of(Status)
+large = settings(suppress_health_check=[HealthCheck.too_slow])
 
 
+@large
 @given(statuses)
 def test_a_status_comes_back_from_its_document_as_it_was(status):
     line = to_json(status)
@@ -261,6 +263,7 @@ def test_who_waits_says_for_what_and_why():
 
 
 @pytest.mark.exhaustive
+@large
 @given(statuses, st.integers(20, 200))
 def test_no_line_is_wider_than_the_terminal_whatever_the_names_are(status, width):
     shown = status_text(status, width)
