@@ -161,7 +161,7 @@ def test_long_delays_do_not_let_sound_wait_for_more_than_a_cycle():
     sound, live = music(4.0), Live(CaptureQueue())
     live.engine.delay_line.offset_s = 0.5
     live.run(sound, lateness(len(sound) // BLOCK, 0.0))
-    assert (len(sound) // BLOCK * BLOCK) - live.engine.frames <= live.engine.frames_max + BLOCK
+    assert len(sound) // BLOCK * BLOCK - live.engine.frames <= live.engine.frames_max + BLOCK
 
 
 def test_without_an_output_sound_is_mixed_as_it_comes():

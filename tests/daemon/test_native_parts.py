@@ -159,8 +159,6 @@ def test_a_page_is_private_and_its_file_goes_with_it(tmp_path):
     assert path.stat().st_mode & 0o777 == 0o600
     with pytest.raises(FileExistsError):
         Page(path, 2, 1, [0])
-    page.set_actuator(0, -0.5, 9.0)
-    page.set_audible(True)
     assert page.frames == 0
     page.close()
     page.close()

@@ -17,8 +17,7 @@ class Blocks:
     def __init__(self, frames: int = BLOCK, blocks: int | None = None) -> None:
         self.error: Exception | None = None
         self.done_s: list[float] = []
-        self._played, self._frames = FrameTime(RATE_HZ), frames
-        self._blocks = blocks
+        self._played, self._frames, self._blocks = FrameTime(RATE_HZ), frames, blocks
 
     @property
     def due_s(self) -> float:

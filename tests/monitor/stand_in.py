@@ -42,8 +42,7 @@ class Settings:
 
     def __init__(self) -> None:
         self.requests: list[dict[str, Any]] = []
-        self.page, self.frames = "", 0
-        self.settings = {"keys": [], "unsaved": 0, "undo": 0}
+        self.page, self.frames, self.settings = "", 0, {"keys": [], "unsaved": 0, "undo": 0}
 
     def frame(self, missed: int, *, in_memory: bool) -> tuple[bytes, bool]:
         self.frames += 1
