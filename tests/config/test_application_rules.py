@@ -21,9 +21,6 @@ def test_rules_keep_their_order_and_values():
     first, second = config.live.application_rules
     assert (first.match, first.profile, first.gain_db, first.feel) == ("super*", "game", -6.0, None)
     assert (second.match, second.profile, second.gain_db, second.feel) == ("mpv", None, 0.0, False)
-
-
-def test_calls_and_alerts_are_left_out_by_default():
     assert not checked("")[0].live.feel_calls_and_alerts
 
 
@@ -53,12 +50,9 @@ def test_a_rule_that_cannot_act_is_named_with_its_line(text, key, line, words):
     assert words in str(mistake)
 
 
-def test_two_rules_for_one_application_are_refused():
+def test_two_rules_for_one_application_and_one_table_instead_of_an_array_are_refused():
     _, mistakes = checked('[[application]]\nmatch = "mpv"\n[[application]]\nmatch = "MPV"\n')
     assert [(one.key, one.line) for one in mistakes] == [("application[2].match", 4)]
     assert "has a rule already, application[1]" in str(mistakes[0])
-
-
-def test_one_table_instead_of_an_array_is_refused():
     _, mistakes = checked('[application]\nmatch = "mpv"\n')
     assert "is not an array of tables" in str(mistakes[0])

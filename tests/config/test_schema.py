@@ -140,12 +140,9 @@ def test_a_key_that_was_replaced_is_refused_with_the_one_that_replaces_it(tmp_pa
             said = refused(call("check", "--config", path))
             assert f"line 2: {section}.{old} = 20" in said
             assert f"is no longer a key; allowed: {new}" in said
-
-
-def test_a_capture_with_a_parameter_that_was_replaced_says_what_to_do() -> None:
     facts: dict[str, str | int | float | bool] = {"form": "live", "follower_db": 12.0}
     with pytest.raises(UsageError, match=r"follower_db is now loudness_db.*give others with"):
-        settings_from(facts)
+        settings_from(facts)  # of a capture
 
 
 def accepts(document: object, schema: dict[str, Any] | None = None) -> bool:

@@ -5,19 +5,17 @@ from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any, cast
+from unittest.mock import Mock
 
 import pytest
 
-from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.alignment import Alignment
 from audioflinger_hook.daemon.declared import LOOK_S, ORDINARY_S, DeclaredDelays
 from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.offset import DECLARED, FOLLOWED_S, UNKNOWN
 from audioflinger_hook.daemon.offset_store import OffsetStore, SinkPair
-from audioflinger_hook.daemon.run_config import RunConfig
-from audioflinger_hook.sources import parse_tap
-from device.address import parse_device
 from device.clock.delay_control import DelayState, DelayStatus
+from tests.support.run_configs import config
 from tests.support.snapshots import monitor, sink, snapshot, source, stream
 
 SPEAKERS, HEADPHONES, CUSHION = (sink(n, name) for n, name in enumerate(("tv", "bt", "cushion")))
@@ -28,24 +26,15 @@ class Case:
     """An alignment on PulseAudio with the Python engine, and what it was told and has done."""
 
     def __init__(self, store: OffsetStore | None = None, **live: Any) -> None:
-        device = parse_device("cushion")
-        config = RunConfig(parse_tap("default"), device, Settings(), LiveSettings(**live))
-        status = DelayStatus(OWN_S, state=DelayState.LOCKED)
-        self.python = SimpleNamespace(
-            delay_line=SimpleNamespace(status=status),
-            framework=SimpleNamespace(latency_s=0.0),
-            drive=SimpleNamespace(latency_frames=0),
-            samplerate=48_000,
-        )
-        engines = SimpleNamespace(
-            native=SimpleNamespace(engine=None), python=self.python, set_offset=lambda _: None
-        )
+        latencies = {"framework.latency_s": 0.0, "drive.latency_frames": 0}
+        self.python = Mock(samplerate=48_000, **latencies)
+        self.python.delay_line.status = DelayStatus(OWN_S, state=DelayState.LOCKED)
+        engines = Mock(python=self.python, **{"native.engine": None})
         drop_in = SimpleNamespace(target_name="tv", set_delay=lambda _: None)
-        self.latencies_s = {"tv": 0.0, "bt": 0.2, "cushion": 0.0}
-        self.queries = 0
+        self.latencies_s, self.queries = {"tv": 0.0, "bt": 0.2, "cushion": 0.0}, 0
         self.connection = SimpleNamespace(latest=snapshot("PulseAudio"), latencies_s=self._query)
-        known = store or OffsetStore()
-        self.made = Alignment(config, cast(Any, engines), cast(Any, drop_in), known, lambda: None)
+        known, told = store or OffsetStore(), config(**live)
+        self.made = Alignment(told, engines, cast(Any, drop_in), known, lambda: None)
         self.now_s = 0.0
 
     def _query(self) -> dict[str, float]:
@@ -101,8 +90,7 @@ def test_the_offset_stands_still_while_a_buffer_empties_and_fills():
     steady_s = found_s[50:]
     assert max(steady_s) - min(steady_s) <= 2.5 * FOLLOWED_S
     assert max(steady_s) == pytest.approx(0.19 - OWN_S, abs=0.01)
-    changes = sum(one != other for one, other in pairwise(steady_s))
-    assert changes <= len(steady_s) // 25
+    assert sum(one != other for one, other in pairwise(steady_s)) <= len(steady_s) // 25
 
 
 def test_an_idle_sink_that_declares_nothing_changes_nothing():
@@ -118,11 +106,10 @@ def test_the_delay_of_another_sink_is_forgotten_before_the_next_one_plays():
     case.python.delay_line.status = DelayStatus(OWN_S)  # nothing plays
     case.pass_s(0.2, monitor(SPEAKERS))
     case.python.delay_line.status = DelayStatus(OWN_S, state=DelayState.LOCKED)
-    assert case.pass_s(0.2, monitor(SPEAKERS)) == (0.0, UNKNOWN)
-    assert case.pass_s(0.2)[1] == DECLARED
+    assert (case.pass_s(0.2, monitor(SPEAKERS)), case.pass_s(0.2)[1]) == ((0.0, UNKNOWN), DECLARED)
 
 
-def test_applications_are_heard_where_they_all_play():
+def test_applications_are_heard_where_they_all_play_and_a_microphone_nowhere():
     case = Case()
     both = stream(1, 0, "tv"), stream(2, 1, "bt")
     assert case.pass_s(1.0, Applications(both[1:]))[1] == DECLARED
@@ -145,8 +132,7 @@ def test_one_watch_of_the_graph_is_enough():
 
 
 def test_a_microphone_is_heard_nowhere():
-    case = Case()
-    assert case.pass_s(1.0, source(9, "microphone")) == (0.0, UNKNOWN)
+    assert Case().pass_s(1.0, source(9, "microphone")) == (0.0, UNKNOWN)
 
 
 def test_drop_in_mode_hears_the_sink_that_it_forwards_to(tmp_path):
@@ -159,8 +145,7 @@ def test_drop_in_mode_hears_the_sink_that_it_forwards_to(tmp_path):
 
 def test_with_a_number_nobody_asks_the_server():
     case = Case(offset_ms=40)
-    assert case.pass_s(10.0)[0] == 0.04
-    assert case.queries == 0
+    assert (case.pass_s(10.0)[0], case.queries) == (0.04, 0)
 
 
 def test_a_delay_that_cannot_be_is_told_while_auto_is_set():

@@ -27,13 +27,10 @@ def test_each_link_to_the_sink_has_its_mirror_whoever_made_it():
     assert set(DESK.mirrored(graph, "dac", INPUTS)) == {(61, 41), (62, 42), (71, 41), (72, 42)}
 
 
-def test_the_vibration_never_comes_back_by_the_devices_monitor():
+def test_neither_the_devices_monitor_nor_what_plays_to_it_is_tapped():
     graph = desktop()
     graph.apply([link(90, 23, 11, graph), link(91, 33, 11, graph)])  # monitors of dac and tv
     assert set(DESK.mirrored(graph, "dac", INPUTS)) == {(33, 41)}
-
-
-def test_what_plays_to_the_device_is_not_tapped_be_it_the_vibration_itself():
     graph = desktop()
     play(graph, 60, "player", 20)
     graph.apply([link(90, 51, 21, graph)])  # the chain's own vibration
@@ -49,8 +46,7 @@ def test_rules_choose_among_the_streams_of_the_sink_by_program_and_client():
     play(graph, 80, "Game", 30)  # by its node's name, as a JACK client has it
     one = Applications((), 48_000, 2, channel_map="front-left,front-right", sink="desk")
     for rules, outputs in (
-        (AppRules(("game",)), {61, 62}),
-        (AppRules(exclude=("game",)), {71, 72}),
+        *((AppRules(("game",)), {61, 62}), (AppRules(exclude=("game",)), {71, 72})),
         (AppRules(("*",), ("binary:mpv",)), {61, 62}),
     ):
         mirrored = tap_of(one, rules).mirrored(graph, "dac", INPUTS)
@@ -96,7 +92,7 @@ def test_a_chain_is_linked_from_the_streams_to_the_devices_channels_unless_it_le
     assert ChainWiring((surround,), DESK, "dac", ("FL", "FR")).links(graph) == {(51, 21)}
 
 
-def test_silence_keeps_the_formats_of_what_taps_streams():
+def test_silence_keeps_the_formats_before_the_first_link_and_after_the_last():
     graph = desktop()
     graph.apply([node(90, "silence"), port(91, 90, "playback_MONO"), port(92, 90, "monitor_MONO")])
     wiring = ChainWiring((chain(),), DESK, "dac", ("FL", "FR"), silence="silence")
@@ -105,9 +101,6 @@ def test_silence_keeps_the_formats_of_what_taps_streams():
     assert not wiring.tap_links(graph, chain())  # is never waited for
     by_monitor = ChainWiring((chain(),), DESK, "dac", ("FL", "FR"), True, "silence")
     assert (92, 41) not in by_monitor.links(graph)
-
-
-def test_silence_is_there_before_the_first_link_and_after_the_last():
     waiting = ChainWiring((chain(linked=False),), silence="silence")
     assert list(waiting.made_nodes()) == ["silence"]
     assert "node.name=silence " in waiting.made_nodes()["silence"]

@@ -2,7 +2,6 @@
 
 import pytest
 
-from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.offset import (
     DECLARED,
     FOLLOWED_S,
@@ -11,16 +10,13 @@ from audioflinger_hook.daemon.offset import (
     SET,
     SPARE_MAX_S,
     TRIAL_S,
-    UNKNOWN,
     Declared,
     Offset,
 )
 from audioflinger_hook.daemon.offset_store import OffsetStore, SinkPair
-from audioflinger_hook.daemon.run_config import RunConfig
-from audioflinger_hook.sources import parse_tap
-from device.address import parse_device
 from device.errors import UsageError
 from device.server.forwarding import MAX_DELAY_S, MIN_DELAY_S
+from tests.support.run_configs import config
 
 PAIR, OTHER = SinkPair("speakers", "cushion"), SinkPair("headphones", "cushion")
 OWN_S = 0.009
@@ -28,18 +24,11 @@ NOTHING = Declared()
 BLUETOOTH = Declared(0.2, 0.0, is_known=True)
 
 
-def config(**live):
-    return RunConfig(
-        parse_tap("default"), parse_device("cushion"), Settings(), LiveSettings(**live)
-    )
-
-
 class Case:
     """An offset with a store, told of one pair of sinks; time passes by `update`."""
 
     def __init__(self, folder, **live):
-        self.offset = Offset(config(**live), OffsetStore(folder))
-        self.now_s = 0.0
+        self.offset, self.now_s = Offset(config(**live), OffsetStore(folder)), 0.0
 
     def update(self, declared=NOTHING, *, pair=PAIR, own_s=OWN_S, after_s=0.25):
         self.now_s += after_s
@@ -57,31 +46,17 @@ def case(tmp_path):
     return Case(tmp_path)
 
 
-def test_the_offset_is_the_difference_of_both_sinks_less_our_own_latency(case):
-    assert case.update(BLUETOOTH) == pytest.approx(0.2 - OWN_S)
-    assert (case.offset.reason, case.offset.sound_s) == (DECLARED, 0.0)
-    assert case.update(Declared(0.2, 0.05, is_known=True)) == pytest.approx(0.15 - OWN_S)
-
-
 def test_it_is_never_below_0_without_drop_in_mode(case):
     assert case.update(Declared(0.0, 0.3, is_known=True)) == 0.0
-    assert case.update(BLUETOOTH, own_s=0.25) == 0.0
-    assert case.offset.sound_s == 0.0
-
-
-def test_where_nothing_is_declared_it_is_0_and_not_known(case):
-    assert case.offset.reason == UNKNOWN
-    assert case.update() == 0.0
-    assert case.update(pair=None) == 0.0
-    assert case.offset.reason == UNKNOWN
+    assert (case.update(BLUETOOTH, own_s=0.25), case.offset.sound_s) == (0.0, 0.0)
 
 
 def test_only_changes_of_more_than_5_ms_are_followed(case):
     first_s = case.update(BLUETOOTH)
     assert case.update(Declared(0.2 + 0.99 * FOLLOWED_S, 0.0, is_known=True)) == first_s
     assert case.update(BLUETOOTH, own_s=OWN_S - 0.99 * FOLLOWED_S) == first_s
-    changed = Declared(0.08, 0.0, is_known=True)
-    assert case.update(changed) == pytest.approx(0.08 - OWN_S)
+    assert case.update(BLUETOOTH, own_s=None) == first_s  # no engine plays
+    assert case.update(Declared(0.08, 0.0, is_known=True)) == pytest.approx(0.08 - OWN_S)
     assert case.update(BLUETOOTH, pair=OTHER) == pytest.approx(0.2 - OWN_S)
 
 
@@ -89,38 +64,27 @@ def test_slow_changes_are_followed_before_they_add_up(case):
     errors_s = []
     for step in range(100):
         heard_s = 0.1 + 0.001 * step
-        found_s = case.update(Declared(heard_s, 0.0, is_known=True))
-        errors_s.append(abs(found_s - (heard_s - OWN_S)))
+        errors_s.append(abs(case.update(Declared(heard_s, 0.0, is_known=True)) - (heard_s - OWN_S)))
     assert max(errors_s) <= FOLLOWED_S + 1e-9
-
-
-def test_it_stays_while_no_engine_plays(case):
-    first_s = case.update(BLUETOOTH)
-    assert case.update(BLUETOOTH, own_s=None) == first_s
 
 
 def test_it_is_at_most_what_the_engines_can_delay(case):
     assert case.update(Declared(LONGEST_S, 0.0, is_known=True), own_s=-0.1) == LONGEST_S
 
 
-def test_a_stored_delay_wins_over_a_declared_one_for_its_pair_only(tmp_path):
+def test_a_stored_delay_ends_the_trial_and_wins_over_a_declared_one_for_its_pair_only(tmp_path):
     case = Case(tmp_path)
     case.update(BLUETOOTH)
+    case.offset.try_out(0.3)
     case.offset.store(0.12)
     assert case.offset.vibration_s == pytest.approx(0.12)
     assert case.offset.reason == MEASURED
     assert case.update(BLUETOOTH, pair=OTHER) == pytest.approx(0.2 - OWN_S)
     assert case.offset.reason == DECLARED
     again = Case(tmp_path)
-    assert again.update(BLUETOOTH) == pytest.approx(0.12)
-    assert again.offset.reason == MEASURED
-
-
-def test_a_stored_delay_stays_right_with_another_latency_of_our_own(case):
-    case.update()
-    case.offset.store(0.12)
+    assert (again.update(BLUETOOTH), again.offset.reason) == (pytest.approx(0.12), MEASURED)
     slower_s = OWN_S + 0.06  # as with the Python engine
-    assert case.update(own_s=slower_s) == pytest.approx(0.06)
+    assert again.update(own_s=slower_s) == pytest.approx(0.06)
 
 
 def test_a_number_in_the_config_wins_over_everything_but_a_trial(tmp_path):
@@ -139,16 +103,8 @@ def test_a_number_in_the_config_wins_over_everything_but_a_trial(tmp_path):
 
 def test_a_trial_that_nobody_ends_ends_by_itself(case):
     case.offset.try_out(0.3)
-    assert case.update(after_s=5.0) == 0.3
-    assert case.update(after_s=TRIAL_S - 1.0) == 0.3
+    assert (case.update(after_s=5.0), case.update(after_s=TRIAL_S - 1.0)) == (0.3, 0.3)
     assert case.update(after_s=2.0) == 0.0
-
-
-def test_storing_ends_the_trial(case):
-    case.update()
-    case.offset.try_out(0.3)
-    case.offset.store(0.1)
-    assert case.update() == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("missing", [{"pair": None}, {"own_s": None}])
@@ -158,20 +114,14 @@ def test_nothing_can_be_stored_without_two_sinks_and_a_playing_engine(case, miss
         case.offset.store(0.1)
 
 
-def test_drop_in_mode_delays_the_sound_instead(tmp_path):
-    case = Case(tmp_path, drop_in=True)
-    case.update(own_s=0.07)
-    assert case.early_s == pytest.approx(0.07)
-    assert 0.07 <= case.offset.sound_s <= 0.07 + SPARE_MAX_S
-
-
-def test_drop_in_mode_rarely_changes_the_sounds_delay(tmp_path):
+def test_drop_in_mode_delays_the_sound_instead_and_rarely_changes_its_delay(tmp_path):
     case, sounds_s = Case(tmp_path, drop_in=True), set()
     for own_s in (0.07, 0.076, 0.064, 0.079, 0.05, 0.07):
         case.update(own_s=own_s)
         sounds_s.add(case.offset.sound_s)
         assert case.early_s == pytest.approx(own_s, abs=FOLLOWED_S)
-    assert len(sounds_s) == 1
+    (sound_s,) = sounds_s
+    assert 0.07 <= sound_s <= 0.07 + SPARE_MAX_S
     case.update(own_s=0.2)
     assert case.early_s == pytest.approx(0.2)
 
@@ -179,8 +129,7 @@ def test_drop_in_mode_rarely_changes_the_sounds_delay(tmp_path):
 def test_drop_in_mode_delays_the_vibration_where_the_sound_is_later(tmp_path):
     case = Case(tmp_path, drop_in=True)
     case.update(BLUETOOTH)
-    assert case.offset.sound_s == MIN_DELAY_S
-    assert case.early_s == pytest.approx(OWN_S - 0.2)
+    assert (case.offset.sound_s, case.early_s) == (MIN_DELAY_S, pytest.approx(OWN_S - 0.2))
     case.update(own_s=3.0)
     assert case.offset.sound_s == MAX_DELAY_S
 

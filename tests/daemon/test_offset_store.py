@@ -12,22 +12,14 @@ from device.errors import CushionError, UsageError
 HEADPHONES, SPEAKERS = SinkPair("bluez.1", "cushion"), SinkPair("alsa.1", "cushion")
 
 
-def test_a_delay_is_found_again_for_exactly_its_pair(tmp_path):
-    OffsetStore(tmp_path / "new" / "folder").store(HEADPHONES, 0.183)
-    again = OffsetStore(tmp_path / "new" / "folder")
-    assert again.delay_s(HEADPHONES) == 0.183
-    assert again.delay_s(SPEAKERS) is None
-    assert again.delay_s(HEADPHONES._replace(felt="other")) is None
-    assert again.warning == ""
-
-
-def test_a_later_delay_replaces_the_earlier_one_and_leaves_the_other_pairs(tmp_path):
-    store = OffsetStore(tmp_path)
+def test_the_latest_delay_of_a_pair_is_found_again_for_exactly_this_pair(tmp_path):
+    store = OffsetStore(tmp_path / "new" / "folder")
     for pair, delay_s in ((HEADPHONES, 0.1), (SPEAKERS, 0.2), (HEADPHONES, -0.05)):
         store.store(pair, delay_s)
-    again = OffsetStore(tmp_path)
-    assert (again.delay_s(HEADPHONES), again.delay_s(SPEAKERS)) == (-0.05, 0.2)
-    assert len(json.loads((tmp_path / FILE).read_text())["offsets"]) == 2
+    again = OffsetStore(tmp_path / "new" / "folder")
+    assert (again.delay_s(HEADPHONES), again.delay_s(SPEAKERS), again.warning) == (-0.05, 0.2, "")
+    assert again.delay_s(HEADPHONES._replace(felt="other")) is None
+    assert len(json.loads((tmp_path / "new" / "folder" / FILE).read_text())["offsets"]) == 2
 
 
 def test_the_oldest_pairs_are_dropped_when_there_are_too_many(tmp_path):
@@ -84,12 +76,10 @@ def test_a_full_disk_keeps_the_old_file_and_the_new_delay_until_the_end(small_di
     store = OffsetStore(small_disk)
     store.store(HEADPHONES, 0.1)
     (small_disk / "filler").write_bytes(b"\0" * 24_000)
-    others = {SinkPair(f"sink {one}", "f" * 90): 0.1 for one in range(100)}
-    store._delays_s |= others
+    store._delays_s |= {SinkPair(f"sink {one}", "f" * 90): 0.1 for one in range(100)}
     with pytest.raises(CushionError, match="disk is full"):
         store.store(SPEAKERS, 0.2)
-    assert store.delay_s(SPEAKERS) == 0.2
-    assert OffsetStore(small_disk).delay_s(HEADPHONES) == 0.1
+    assert (store.delay_s(SPEAKERS), OffsetStore(small_disk).delay_s(HEADPHONES)) == (0.2, 0.1)
 
 
 def test_without_a_folder_a_delay_lasts_until_the_end(tmp_path):

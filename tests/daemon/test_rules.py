@@ -6,13 +6,12 @@ from typing import Any, cast
 import pytest
 
 from audioflinger_hook.config.applications import ApplicationRule
-from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.acting_rule import ActingRule, with_rule
 from audioflinger_hook.daemon.applications import applications_in, not_left_out
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.inputs.sink import SinkInput
 from audioflinger_hook.daemon.native.taps import Tap
-from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.daemon.timing import Wake
 from audioflinger_hook.sources import parse_tap
@@ -21,6 +20,7 @@ from device.address import parse_device
 from device.server.left_out import LeftOut
 from device.server.snapshot import ServerSnapshot, Sink, Source, Stream
 from device.server.tap_volume import TapVolume
+from tests.support import run_configs
 from tests.support.browser_streams import PLAYING, RECORDING, felt, properties, scenes
 from tests.support.graphs import desktop, link, node, play, port
 
@@ -31,12 +31,7 @@ SOURCE = Source(2, "desk.monitor", "", "desk", 48_000, 2, {})
 
 
 def config_of(*rules, **live):
-    return RunConfig(
-        parse_tap("default"),
-        parse_device("sink:dac"),
-        Settings(),
-        LiveSettings(application_rules=rules, **live),
-    )
+    return run_configs.config(application_rules=rules, **live)
 
 
 def stream(index, application="", *, binary="", role="", corked=False, latency="", sink="desk"):
@@ -56,15 +51,10 @@ def tapped(graph, left_out=LeftOut()):  # noqa: B008 - immutable
 @pytest.mark.parametrize(
     "properties",
     [
-        {"media.role": "Communication"},
-        {"media.role": "phone"},
-        {"media.role": "Notification"},
-        {"media.role": "event"},
-        {"media.role": "Accessibility"},
-        {"application.name": "WEBRTC VoiceEngine"},
-        {"application.process.binary": "Discord"},
-        {"application.name": "Mumble"},
-        {"application.process.binary": "teams-for-linux"},
+        *({"media.role": "Communication"}, {"media.role": "phone"}, {"media.role": "Notification"}),
+        *({"media.role": "event"}, {"media.role": "Accessibility"}),
+        *({"application.name": "WEBRTC VoiceEngine"}, {"application.process.binary": "Discord"}),
+        *({"application.name": "Mumble"}, {"application.process.binary": "teams-for-linux"}),
     ],
 )
 def test_calls_and_alerts_are_not_linked_unless_the_switch_is_on(properties):
@@ -93,19 +83,16 @@ def test_a_browsers_call_is_left_out_while_its_film_is_felt(browser, server, sce
 
 
 def test_a_client_that_records_only_what_a_sink_plays_makes_no_call():
-    graph = desktop()
-    one = {"application.name": "Recorder", "media.name": "take 1"}
+    graph, one = desktop(), {"application.name": "Recorder", "media.name": "take 1"}
     play(graph, 60, "recorder", 10, **one)
-    recorder = {**one, "stream.capture.sink": True}
-    graph.apply([node(80, "tape", "Stream/Input/Audio", **recorder)])
+    graph.apply([node(80, "tape", "Stream/Input/Audio", **{**one, "stream.capture.sink": True})])
     assert tapped(graph) == {61, 62}
     graph.apply([node(81, "microphone", "Stream/Input/Audio", **one)])
     assert tapped(graph) == set()
 
 
 def test_a_stream_is_not_linked_before_its_properties_are_known():
-    graph = desktop()
-    announced = node(60, "player", "Stream/Output/Audio")
+    graph, announced = desktop(), node(60, "player", "Stream/Output/Audio")
     output = port(61, 60, "output_FL")
     output["info"]["props"]["object.serial"] = 61
     graph.announce([announced, output])
@@ -113,8 +100,7 @@ def test_a_stream_is_not_linked_before_its_properties_are_known():
     assert tapped(graph) == set()
     binary = {"application.process.binary": "vesktop"}
     assert graph.apply([node(60, "player", "Stream/Output/Audio", **binary)])
-    assert tapped(graph) == set()
-    assert tapped(graph, LeftOut(calls_and_alerts=True)) == {61}
+    assert (tapped(graph), tapped(graph, LeftOut(calls_and_alerts=True))) == (set(), {61})
     graph.apply([announced])
     assert tapped(graph) == {61}
 
@@ -135,8 +121,7 @@ FIREFOX = {"application": "Firefox", "binary": "firefox-bin"}
     [
         ((ApplicationRule(match="fire*", feel=False),), {}, {}),
         ((ApplicationRule(match="firefox-bin", feel=False),), {}, {}),
-        ((), {}, {"role": "phone"}),
-        ((), {"exclude": ("fire*",)}, {}),
+        *(((), {}, {"role": "phone"}), ((), {"exclude": ("fire*",)}, {})),
         ((), {"include": ("mpv",)}, {}),
     ],
 )
@@ -248,24 +233,21 @@ def test_a_rule_changes_profile_and_gain_and_nothing_else():
     assert acted.settings.parameters == Settings(profile="game").parameters
     assert acted.live == config.live
     assert with_rule(config, None) is config
-    low = with_rule(config, replace(GAME, gain_db=-60.0))
-    assert low.settings.gain_db == -60.0
+    assert with_rule(config, replace(GAME, gain_db=-60.0)).settings.gain_db == -60.0
 
 
 def test_the_status_says_which_rule_acts_and_why_an_application_is_left_out():
     config = config_of(GAME, ApplicationRule(match="radio", feel=False))
-    record = replace(stream(9, "Browser"), device_index=8, device_name="microphone")
     snapshot = seen(
         stream(1, "SuperTux"),
         stream(2, "Radio"),
         stream(3, "chime", role="event"),
         stream(4, "Browser"),
         stream(5, "Player"),
-        recording=[record],
+        recording=[replace(stream(9, "Browser"), device_index=8, device_name="microphone")],
     )
     shown = applications_in(snapshot, config, SOURCE, "dac", GAME)
-    felt = {one.name: (one.is_felt, one.rule) for one in shown}
-    assert felt == {
+    assert {one.name: (one.is_felt, one.rule) for one in shown} == {
         "SuperTux": (True, 'rule "super*"'),
         "Radio": (False, "left out in the config"),
         "chime": (False, "alert"),

@@ -64,8 +64,7 @@ def test_of_5_1_the_centre_is_on_both_sides_and_the_bass_before_and_behind():
 
 
 def test_of_7_1_the_sides_are_before_and_behind():
-    assert depths(8) == "FFFCBBCC"
-    assert depths(24).count("B") == 6
+    assert (depths(8), depths(24).count("B")) == ("FFFCBBCC", 6)
 
 
 def test_no_byte_depends_on_how_the_sound_is_cut_and_unusable_samples_are_counted_once():
@@ -74,8 +73,7 @@ def test_no_byte_depends_on_how_the_sound_is_cut_and_unusable_samples_are_counte
     sound[200, 0] = 1e9
     found = source_weights(6, ("mix", "left", "right"))
     whole, parts = (HapticTransform(RATE, 6, weights=found) for _ in range(2))
-    expected = whole.process(sound)
-    cuts = np.cumsum([1, 17, 480, 1_000, 3])
+    expected, cuts = whole.process(sound), np.cumsum([1, 17, 480, 1_000, 3])
     got = np.concatenate([parts.process(part) for part in np.split(sound, cuts)])
     assert got.tobytes() == expected.tobytes()
     assert whole.replaced_samples == parts.replaced_samples == 2

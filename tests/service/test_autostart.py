@@ -57,10 +57,7 @@ def test_it_is_on_once_switched_on_and_off_once_switched_off(environ, started_by
 
 @pytest.mark.parametrize("started_by", ["systemd"], indirect=True)
 def test_systemd_itself_says_that_the_unit_is_enabled(environ, started_by, tmp_path):
-    """`systemctl --root` reads a tree of folders as a machine's, here with the units of all users.
-
-    Its search path has etc/systemd/user, where administrators enable what users have in their home.
-    """
+    """`systemctl --root` reads a machine's folders; etc/systemd/user has the units of all users."""
     if shutil.which("systemctl") is None:
         pytest.skip("systemd is not installed")
     autostart.set_on(True, environ, PROGRAM)
@@ -87,6 +84,8 @@ def test_a_unit_that_is_installed_keeps_its_options(environ, started_by):
     autostart.set_on(True, environ, PROGRAM)
     unit.unlink()
     assert not autostart.is_on(environ), "a link to nothing starts nothing"
+    autostart.set_on(True, environ, PROGRAM)
+    assert unit.read_text().startswith(MARK)
 
 
 def test_a_machine_that_got_systemd_does_not_start_the_daemon_twice(environ, tmp_path, monkeypatch):
@@ -134,8 +133,7 @@ def test_the_menu_has_an_entry_with_an_icon_that_opens_the_page(environ, tmp_pat
 def test_the_packaged_entry_and_icon_are_those_of_the_program():
     share = ROOT / "share"
     assert (share / "applications/haptic-cushion.desktop").read_text() == page_entry()
-    icon = share / "icons/hicolor/scalable/apps/haptic-cushion.svg"
-    assert icon.read_bytes() == icon_bytes()
+    assert (share / "icons/hicolor/scalable/apps/haptic-cushion.svg").read_bytes() == icon_bytes()
 
 
 def test_words_are_quoted_as_the_specification_says():
@@ -154,9 +152,3 @@ def test_the_desktop_reads_the_command_as_it_was_written(tmp_path):
     keys = glib.KeyFile()
     keys.load_from_file(str(path), glib.KeyFileFlags.NONE)
     assert glib.shell_parse_argv(keys.get_string("Desktop Entry", "Exec"))[1] == words
-
-
-def test_a_unit_written_by_switching_it_on_is_this_programs(environ, tmp_path, monkeypatch):
-    monkeypatch.setattr(autostart, "BOOTED", tmp_path)
-    autostart.set_on(True, environ, PROGRAM)
-    assert (tmp_path / "config/systemd/user/cushion.service").read_text().startswith(MARK)

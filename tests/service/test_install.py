@@ -81,15 +81,13 @@ def test_systemd_understands_every_name_and_argument(tmp_path):
 def test_the_command_is_quoted_so_that_nothing_in_it_is_expanded():
     text = unit_text(("/opt/a b/100%/$x/cushion", "run", '$HOME %h "q" b\\s'), Path("/s %h"))
     quoted = '"/opt/a b/100%%/$x/cushion" "run" "$$HOME %%h \\"q\\" b\\\\s"'
-    assert line_of(text, "ExecStart") == quoted
-    assert line_of(text, "ReadWritePaths") == '"-/s %%h"'
+    assert (line_of(text, "ExecStart"), line_of(text, "ReadWritePaths")) == (quoted, '"-/s %%h"')
     assert line_of(text, "ExecReload") == "/bin/kill -HUP $MAINPID"
 
 
 def test_a_newer_systemd_sends_the_signal_itself_and_waits_for_the_end_of_the_reload():
     old, new = (unit_text(("/cushion", "run"), STATE, systemd) for systemd in (252, 253))
-    assert old == unit_text(("/cushion", "run"), STATE)
-    assert line_of(old, "Type") == "notify"
+    assert (old, line_of(old, "Type")) == (unit_text(("/cushion", "run"), STATE), "notify")
     assert "ReloadSignal" not in old
     assert (line_of(new, "Type"), line_of(new, "ReloadSignal")) == ("notify-reload", "SIGHUP")
     assert "ExecReload" not in new
@@ -221,6 +219,5 @@ def test_the_command_installs_the_rule_as_it_is(tmp_path):
     assert int(Path(UDEV_PATH).name[:2]) < 73  # the rule that gives access away
     assert target.read_text() == UDEV_RULE
     assert done.stdout.splitlines() == [
-        "udevadm control --reload",
-        "udevadm trigger --subsystem-match=usb --action=change",
+        *("udevadm control --reload", "udevadm trigger --subsystem-match=usb --action=change"),
     ]

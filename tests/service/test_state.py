@@ -85,11 +85,9 @@ def test_a_reason_becomes_one_printable_line_of_bounded_length():
 def test_waits_double_from_50_ms_to_2_s_and_begin_anew_after_a_success():
     backoff = Backoff(longest_s=2.0)
     assert backoff.wait_s(5.0) == 0.0
-    waits = [backoff.failed(100.0) for _ in range(8)]
-    assert waits == [0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0]
+    assert [backoff.failed(100.0) for _ in range(8)] == [0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0]
     backoff.succeeded()
-    assert backoff.wait_s(100.0) == 0.0
-    assert backoff.failed(100.0) == 0.05
+    assert (backoff.wait_s(100.0), backoff.failed(100.0)) == (0.0, 0.05)
     assert backoff.wait_s(100.01) == pytest.approx(0.04)
     assert backoff.wait_s(100.06) == 0.0
 
@@ -129,35 +127,27 @@ def test_a_daemon_that_has_reason_to_be_silent_is_fed(state):
 
 @given(st.floats(0.01, 1e4), st.lists(st.floats(0.0, 1.0), min_size=50, max_size=80))
 def test_who_asks_as_often_as_told_feeds_within_half_the_period(period_s, steps):
-    watchdog = Watchdog(period_s)
-    now_s, fed_s = 0.0, [0.0]
+    watchdog, now_s, fed_s = Watchdog(period_s), 0.0, [0.0]
     watchdog.due(0, S.RUNNING, 0.0)
     for buffers, step in enumerate(steps, 1):
         now_s += step * watchdog.check_s
         if watchdog.due(buffers, S.RUNNING, now_s):
             fed_s.append(now_s)
     fed_s.append(now_s)
-    gaps = [b - a for a, b in pairwise(fed_s)]
-    assert max(gaps) <= period_s / 2 * (1 + 1e-9)
+    assert max([b - a for a, b in pairwise(fed_s)]) <= period_s / 2 * (1 + 1e-9)
 
 
 @pytest.fixture(params=["path", "abstract"])
 def manager(request, tmp_path):
     """A service manager's socket, and the name of it that a service is given."""
+    folder = os.open(tmp_path, os.O_PATH)  # pytest's folders may be deeper than an address is long
+    path, abstract = f"/proc/self/fd/{folder}/notify", f"@{tmp_path.name}-{os.getpid()}"
+    given = path if request.param == "path" else abstract
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as end:
-        name = f"{tmp_path.name}-{os.getpid()}"
-        if request.param == "path":
-            # pytest's folders may be deeper than an address is long
-            link = f"/proc/self/fd/{os.open(tmp_path, os.O_PATH)}/notify"
-            end.bind(link)
-            given = link
-        else:
-            end.bind(f"\0{name}")
-            given = f"@{name}"
+        end.bind(given.replace("@", "\0"))
         end.settimeout(5.0)
         yield end, given
-        if request.param == "path":
-            os.close(int(link.split("/")[4]))
+    os.close(folder)
 
 
 def test_every_message_arrives_as_systemd_reads_it(manager):
@@ -184,14 +174,12 @@ def test_every_message_arrives_as_systemd_reads_it(manager):
     ],
 )
 def test_without_a_manager_or_with_one_that_is_gone_nothing_is_sent(name):
-    notifier = Notifier({"NOTIFY_SOCKET": name} if name else {})
-    assert not notifier.send("READY=1")
+    assert not Notifier({"NOTIFY_SOCKET": name} if name else {}).send("READY=1")
 
 
 def test_a_manager_that_reads_nothing_is_not_waited_for_long(manager):
     _, name = manager
-    notifier = Notifier({"NOTIFY_SOCKET": name})
-    sent = 0
+    notifier, sent = Notifier({"NOTIFY_SOCKET": name}), 0
     while notifier.send(status="x" * 200):
         sent += 1
         assert sent < 100_000
@@ -208,8 +196,7 @@ def sine(amplitude: float, frames: int = RATE, channels: int = 2) -> np.ndarray:
 @pytest.mark.parametrize("amplitude", [1.0, 0.1, 1e-4])
 @pytest.mark.parametrize("size", [64, 441, 1024, 9000])
 def test_a_sine_reads_its_peak_and_3_db_less_in_blocks_of_any_length(amplitude, size):
-    meter = LevelMeter(RATE)
-    signal = np.concatenate([sine(amplitude)] * 3)
+    meter, signal = LevelMeter(RATE), np.concatenate([sine(amplitude)] * 3)
     for start in range(0, len(signal), size):
         meter.add(signal[start : start + size])
     level_db = 20.0 * math.log10(amplitude)
@@ -240,25 +227,19 @@ def test_samples_that_are_not_finite_spoil_nothing(value):
     assert math.isfinite(meter.level().rms_dbfs)
 
 
-def growth(step) -> int:
-    for _ in range(100):
-        step()
-    tracemalloc.start()
-    try:
-        before, _ = tracemalloc.get_traced_memory()
-        for _ in range(2000):
-            step()
-        after, _ = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    return after - before
-
-
 def test_neither_meter_nor_clock_grows():
-    meter, clock = LevelMeter(RATE), BufferClock()
-    block = sine(0.5, 1024)
-    assert growth(lambda: meter.add(block)) < 1000
-    assert growth(lambda: clock.add(0.001, 0.02)) < 1000
+    meter, clock, block = LevelMeter(RATE), BufferClock(), sine(0.5, 1024)
+
+    def held() -> int:
+        for _ in range(2_000):
+            meter.add(block)
+            clock.add(0.001, 0.02)
+        return tracemalloc.get_traced_memory()[0]
+
+    tracemalloc.start()
+    before, after = held(), held()
+    tracemalloc.stop()
+    assert after - before < 1000
 
 
 @given(st.lists(st.floats(2e-6, 9.0), min_size=1, max_size=300))
@@ -301,8 +282,7 @@ def test_each_channel_is_measured_by_itself():
             alone.add(block)
         assert alone.reading() == pytest.approx((left, left_square))
     meter.reset()
-    assert meter.level() == Level()
-    assert meter.channel_readings() == [(0.0, 0.0)]
+    assert (meter.level(), meter.channel_readings()) == (Level(), [(0.0, 0.0)])
 
 
 def test_the_share_is_of_all_time_played_and_every_buffer_is_counted_once_and_if_late():

@@ -17,8 +17,7 @@ BLOCK_S = BLOCK / RATE_HZ
 
 def a_mix(*names):
     client = VoicesClient(RATE_HZ, 1)
-    mixer = mixer_for(client)
-    return mixer, client, [client.add(name) for name in names]
+    return mixer_for(client), client, [client.add(name) for name in names]
 
 
 def mixed(mixer, client):
@@ -32,9 +31,7 @@ def level(value, count=BLOCK):
 
 def test_one_voice_passes_bit_for_bit_whatever_its_buffers_are():
     mixer, client, (voice,) = a_mix("player")
-    counts = np.cumsum([256, 7, 1, 960, 5_000, 333])
-    sound = noise(7_000, 1)
-    parts = []
+    counts, sound, parts = np.cumsum([256, 7, 1, 960, 5_000, 333]), noise(7_000, 1), []
     for part in np.split(sound, counts):
         client.push(voice, part, 0.0)
         parts.append(mixed(mixer, client))
@@ -69,8 +66,7 @@ def test_a_voice_that_was_removed_takes_the_pace_with_it():
     mixed(mixer, client)
     client.remove(one)
     client.push(other, level(0.5), BLOCK_S)
-    assert mixed(mixer, client)[-1] == 0.5
-    assert len(mixer.cycle(1.0, BLOCK).buffer.audio) == BLOCK
+    assert (mixed(mixer, client)[-1], len(mixer.cycle(1.0, BLOCK).buffer.audio)) == (0.5, BLOCK)
 
 
 def test_what_waits_longer_than_it_should_is_dropped_and_counted():
@@ -79,8 +75,7 @@ def test_what_waits_longer_than_it_should_is_dropped_and_counted():
     for _ in range(100):
         client.push(other, level(0.5), 0.01)
     assert other.frames <= WAITING_S * RATE_HZ + BLOCK
-    assert other.frames + other.dropped == 100 * BLOCK
-    assert mixed(mixer, client)[-1] == 0.75
+    assert (other.frames + other.dropped, mixed(mixer, client)[-1]) == (100 * BLOCK, 0.75)
 
 
 pushes = st.tuples(st.integers(0, 2), st.integers(1, 3_000), st.floats(0.0, 0.1))
