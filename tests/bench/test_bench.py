@@ -188,8 +188,7 @@ def test_limits_of_time_that_are_met_in_ffts_stand_apart_from_faults():
     assert page.count("not met: A section: ") == 3
     assert "  - not met in ms, met in FFTs: A section: slow (live), 16 ms, must ≤ 15 ms" in page
     must = report.to_json()["must"]
-    assert must["met"] == 1
-    assert len(must["not_met"]) == 4
+    assert (must["met"], len(must["not_met"])) == (1, 4)
     assert must["met_in_ffts"] == ["A section: slow (live)"]
 
 
@@ -252,17 +251,6 @@ def test_every_bench_gives_rows_that_stand_in_whole_tables_under_what_they_mean(
     assert shares[0] == 0.0
     assert shares == sorted(shares)
     assert TOLD[-1] == ("done", 1.0)
-
-
-@pytest.mark.exhaustive
-def test_savings_that_state_no_change_change_nothing(report):
-    # The transform may be at fault, never the bench: it must say so.
-    section = report.section("What each saving saves")
-    changes = {row.name: row for row in section.rows if row.column == savings.CHANGE}
-    assert set(changes) == {saving.name for saving in savings.SAVINGS}
-    for saving in savings.SAVINGS:
-        if saving.bound == 0.0:
-            assert changes[saving.name].value == 0.0, saving.name
 
 
 @pytest.mark.parametrize("saving", savings.SAVINGS, ids=lambda saving: saving.name)

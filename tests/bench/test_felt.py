@@ -87,8 +87,7 @@ def test_an_impact_begins_suddenly_and_a_brief_one_is_over_soon():
     sudden, brief = (
         [is_impact(sound, SAMPLERATE, brief=brief) for sound in sounds] for brief in (False, True)
     )
-    assert sudden == [True, True, False, True]
-    assert brief == [True, False, False, False]
+    assert (sudden, brief) == ([True, True, False, True], [True, False, False, False])
 
 
 @settings(deadline=None, max_examples=10)

@@ -65,8 +65,7 @@ def test_what_is_missing_is_named_and_the_rest_is_printed(monkeypatch, tmp_path)
 def test_json_with_something_missing_is_still_one_document_by_the_schema(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     run = run_benches(monkeypatch, "--json", broken=broken, works=fine)
-    assert run.code == 2
-    assert list(tmp_path.iterdir()) == []
+    assert (run.code, list(tmp_path.iterdir())) == (2, [])
     report = json.loads(run.stdout)
     fastjsonschema.validate(SCHEMA, report)
     assert [len(section["missing"]) for section in report["sections"]] == [1, 0]
@@ -98,8 +97,7 @@ def test_a_recording_that_is_gone_or_no_sound_is_named(folder):
     (folder / KNOWN[0]).unlink()
     (folder / KNOWN[-1]).write_text("no sound")
     found, absent = examine_recordings()
-    assert len(found) == len(KNOWN) - 2
-    assert set(absent) == {KNOWN[0], KNOWN[-1]}
+    assert (len(found), set(absent)) == (len(KNOWN) - 2, {KNOWN[0], KNOWN[-1]})
     section = fidelity.recordings(a_bench(found, absent))
     by_name = {gone.name: gone for gone in section.missing}
     assert "it is not in" in by_name[f"recording {KNOWN[0]}"].reason

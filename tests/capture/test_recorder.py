@@ -62,8 +62,7 @@ def test_nothing_waits_and_what_finds_no_room_is_dropped_counted_and_marked_in_i
     writer = HeldWriter(tmp_path, streams=("tap", "effect"))
     recorder = CaptureRecorder(writer, capacity_samples=5 * 8)
     taken = [recorder.offer("tap", frames_of(number), 48_000, float(number)) for number in range(9)]
-    assert taken == [True] * 5 + [False] * 4
-    assert recorder.dropped("tap") == (4, 16)
+    assert (taken, recorder.dropped("tap")) == ([True] * 5 + [False] * 4, (4, 16))
     writer.go.set()
     number = 9
     while not recorder.offer("tap", frames_of(number), 48_000, float(number)):

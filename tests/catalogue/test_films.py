@@ -86,11 +86,8 @@ def test_track_and_language_can_be_chosen(tmp_path):
     tracks = (("eng", 0.5, 200.0), ("fra", 0.5, 400.0), ("eng", 0.5, 800.0))
     path = film(tmp_path / "a.mkv", tracks)
     for tone_hz, chosen in (
-        (200.0, {"track": 1}),
-        (800.0, {"track": 3}),
-        (400.0, {"language": "fra"}),
-        (200.0, {"language": "eng"}),
-        (800.0, {"track": 3, "language": "eng"}),
+        *((200.0, {"track": 1}), (800.0, {"track": 3}), (400.0, {"language": "fra"})),
+        *((200.0, {"language": "eng"}), (800.0, {"track": 3, "language": "eng"})),
     ):
         found_hz = main_hz(frames_of(FilmTap(path, **chosen)))
         assert found_hz == pytest.approx(tone_hz, abs=5.0), chosen

@@ -53,11 +53,9 @@ def run(sounds, out, *options):
 def test_every_sound_of_a_folder_becomes_what_render_makes_of_it(sounds, expected, tmp_path):
     out = tmp_path / "out"
     done = told(sounds, out)
-    assert (done.code, done.stderr) == (0, "")
-    assert results(out) == expected
+    assert (done.code, done.stderr, results(out)) == (0, "", expected)
     found = record(out, "s00.wav")
-    assert found["frames"] == 2_000
-    assert found["bytes"] == len(expected["s00.wav"])
+    assert (found["frames"], found["bytes"]) == (2_000, len(expected["s00.wav"]))
     assert found["seconds"] > 0.0
     assert found["host"]
     assert {"peak", "leak_above_250_hz_db", "exposure_a8_m_s2", "key"} <= found.keys()
@@ -122,8 +120,7 @@ def test_a_result_not_whole_or_without_record_is_rendered_again(sounds, expected
     out = tmp_path / "out"
     run(sounds, out)
     DAMAGES[damage](out / "s01.wav", out / "s01.wav.json")
-    assert run(sounds, out)[0]["rendered"] == 1
-    assert results(out) == expected
+    assert (run(sounds, out)[0]["rendered"], results(out)) == (1, expected)
 
 
 def test_copies_are_known_by_their_bytes(sounds, tmp_path):
@@ -150,8 +147,7 @@ def test_a_result_without_its_own_record_is_not_taken(sounds, expected, tmp_path
         patch.setattr(work, "_write_record", Mock(side_effect=KeyboardInterrupt))
         assert told(sounds, out, "--profile", "cinema").code == 130
     assert results(out) != expected
-    assert run(sounds, out)[0]["rendered"] == 1
-    assert results(out) == expected
+    assert (run(sounds, out)[0]["rendered"], results(out)) == (1, expected)
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -177,8 +173,7 @@ def test_results_of_another_version_are_made_anew(sounds, expected, tmp_path, mo
     monkeypatch.setattr(work, "VERSION", "0.0")
     assert run(sounds, out)[0]["rendered"] == 6
     monkeypatch.undo()
-    assert run(sounds, out)[0]["rendered"] == 6
-    assert results(out) == expected
+    assert (run(sounds, out)[0]["rendered"], results(out)) == (6, expected)
 
 
 def test_a_worker_of_another_version_stops_the_run(sounds, tmp_path, monkeypatch):
@@ -275,8 +270,7 @@ def test_a_part_that_is_not_there_fails(tmp_path):
     sound(tmp_path / "a.wav", noise(2_000), LOW_RATE)
     lines = ({"audio": "a.wav", "id": "late", "start_s": 60.0}, {"audio": "a.wav", "channels": 7})
     done = told(manifest(tmp_path / "list.jsonl", *lines), tmp_path / "out")
-    assert done.code == 2
-    assert done.stderr.count("is not in the sound") == 2
+    assert (done.code, done.stderr.count("is not in the sound")) == (2, 2)
     assert results(tmp_path / "out") == {}
 
 
@@ -307,9 +301,7 @@ def test_a_full_disk_ends_the_run_and_the_next_one_goes_on(sounds, expected, tmp
     assert done.code == 5
     assert "No space left" in done.stderr
     assert "run the same command again" in done.stderr
-    assert len(results(out)) == 2
-    assert run(sounds, out)[1] == 0
-    assert results(out) == expected
+    assert (len(results(out)), run(sounds, out)[1], results(out)) == (2, 0, expected)
 
 
 def test_i_o_is_repeated_and_nothing_else(sounds, tmp_path, monkeypatch):
@@ -327,8 +319,7 @@ def test_i_o_is_repeated_and_nothing_else(sounds, tmp_path, monkeypatch):
     folder = shutil.copytree(sounds, tmp_path / "in")
     (folder / "x.flac").write_text("no sound")
     found, code = run(folder, tmp_path / "out")
-    assert (found["rendered"], found["failed"], code) == (6, 1, 2)
-    assert waits == [0.5, 1.5]
+    assert (found["rendered"], found["failed"], code, waits) == (6, 1, 2, [0.5, 1.5])
 
 
 def test_two_runs_into_one_folder_work_together(sounds, expected, tmp_path):
@@ -338,8 +329,7 @@ def test_two_runs_into_one_folder_work_together(sounds, expected, tmp_path):
         with process:
             assert process.communicate(timeout=60)[1] == ""
             assert process.returncode == 0
-    assert results(out) == expected
-    assert run(sounds, out)[0]["skipped"] == 6
+    assert (results(out), run(sounds, out)[0]["skipped"]) == (expected, 6)
 
 
 def test_status_counts_what_is_done_outdated_missing_and_unreadable(sounds, tmp_path):
@@ -377,8 +367,7 @@ def test_the_report_is_one_page_with_a_picture_of_each_item(tmp_path):
         done = told(folder, tmp_path / "out", "--report", page)
         assert done.code == 2
         text = (page / "index.html").read_text()
-        assert text.count("<figure") == 6
-        assert text.count("<svg") == 5
+        assert (text.count("<figure"), text.count("<svg")) == (6, 5)
         assert "silence" in text
         assert "&lt;bad&gt;" in text
         assert "<bad>" not in text

@@ -50,8 +50,7 @@ def test_sounds_and_results_in_s3_have_the_bytes_of_local_ones(store, tmp_path):
     _, _, files, folder, local = store
     arguments = ("catalogue", f"s3://{folder}/in", "--out", f"s3://{folder}/out", "--json")
     done = call(*arguments, "--workers", 1)
-    assert (done.code, done.stderr) == (0, "")
-    assert json.loads(done.stdout)["rendered"] == 4
+    assert (done.code, done.stderr, json.loads(done.stdout)["rendered"]) == (0, "", 4)
     assert remote_results(files, f"{folder}/out") == expected(local, tmp_path)
     assert json.loads(call(*arguments, "--workers", 1).stdout)["skipped"] == 4
     files.pipe(f"{folder}/out/s01.wav", b"other")
@@ -83,8 +82,7 @@ def test_a_storage_that_fails_a_while_loses_nothing(store, tmp_path, monkeypatch
     application.fails = lambda verb, path: verb == method and path.endswith(".wav")
     out = f"{folder}/{method}{len(failures)}"
     done = call("catalogue", f"s3://{folder}/in", "--out", f"s3://{out}", "--workers", 1)
-    assert (done.code, done.stderr) == (0, "")
-    assert application.failures == []
+    assert (done.code, done.stderr, application.failures) == (0, "", [])
     assert 0.5 in waits
     assert remote_results(files, out) == expected(local, tmp_path)
 

@@ -41,8 +41,7 @@ def test_each_channel_has_its_level_polarity_and_delay_and_others_silence(tmp_pa
     )
     report = rendered(stereo, out, "--config", config(text))
     wanted, got = vibration(each), vibration(out)
-    assert got.shape == (RATE, 4)
-    assert report["channels"] == 4
+    assert (got.shape, report["channels"]) == ((RATE, 4), 4)
     late = round(0.02 * RATE)
     quieter = 10.0 ** (-12.0 / 20.0) * wanted[:, 1].astype(float)
     np.testing.assert_allclose(got[:, 0], quieter, atol=1e-7)  # float32 below 1

@@ -80,8 +80,7 @@ def test_what_is_damaged_is_left_out_with_a_warning(tmp_path, folder, damage, wo
     (folder / "tap-0001.wav").write_bytes(content)
     report, warnings = warned(folder, tmp_path / "out.wav")
     assert words in warnings
-    assert report["frames"] == buffers * 480
-    assert report["discontinuities"] == gaps
+    assert (report["frames"], report["discontinuities"]) == (buffers * 480, gaps)
     if not gaps:
         end = -2_300 if buffers < 20 else None  # the last window, which silence follows
         made = vibration(tmp_path / "out.wav")[:end]
@@ -102,8 +101,7 @@ def test_an_output_of_a_replay_that_cannot_be_written_is_refused(tmp_path, folde
         ),
     ):
         assert words in refused(call("replay", folder, *output))
-    assert listing(tmp_path) == {}
-    assert listing(folder) == before
+    assert (listing(tmp_path), listing(folder)) == ({}, before)
 
 
 def test_a_replay_does_not_write_over_the_capture_that_it_reads(tmp_path, folder):
@@ -114,8 +112,7 @@ def test_a_replay_does_not_write_over_the_capture_that_it_reads(tmp_path, folder
         for path in (target, tmp_path / name):
             for output in ([path], [tmp_path / "out.wav", "--acceleration", path]):
                 assert "name two files" in refused(call("replay", folder, *output))
-    assert listing(folder) == before
-    assert listing(tmp_path).keys() == links.keys()
+    assert (listing(folder), listing(tmp_path).keys()) == (before, links.keys())
     assert call("replay", folder, folder / "vibration.wav").code == 0  # beside it is its own matter
 
 
@@ -153,7 +150,7 @@ def test_without_a_sound_server_nothing_that_plays_is_captured(tmp_path, options
         ("", "has an empty name"),
         ("scene:other", "unknown scene"),
         ("file:/none.wav", "does not exist"),
-        ("folder/film.wav", "did you mean file:"),
+        ("folder/film.wav", "did you mean file:folder/film.wav?"),
         ("app:Firefox", "this command cannot capture live sound"),
         *((tap, "this command cannot capture live sound") for tap in ("default", "sink:x", "x")),
     ],

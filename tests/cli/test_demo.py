@@ -66,8 +66,7 @@ def demo(tmp_path_factory):
 def test_the_demo_writes_the_sound_the_vibration_the_acceleration_and_a_report(demo):
     pytest.importorskip("matplotlib", reason="pip install matplotlib")
     done, out = demo
-    assert done.stderr == ""
-    assert listing(out).keys() == SOUNDS | {"report.png"}
+    assert (done.stderr, listing(out).keys()) == ("", SOUNDS | {"report.png"})
     for name, channels in [("scene", 2), ("vibration", 1), ("acceleration", 1)]:
         info = soundfile.info(out / f"{name}.wav")
         assert (info.format, info.subtype, info.samplerate) == ("WAV", "FLOAT", RATE)
@@ -77,19 +76,13 @@ def test_the_demo_writes_the_sound_the_vibration_the_acceleration_and_a_report(d
     assert (out / "report.png").read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
 
 
-def described(picture):
-    """The text chunk that a PNG carries beside its pixels."""
-    from PIL import Image
-
-    with Image.open(picture) as image:
-        return image.info["Description"]
-
-
 @pytest.mark.exhaustive
 def test_the_picture_in_the_readme_is_of_the_demo_as_it_is_now(demo):
     pytest.importorskip("matplotlib", reason="pip install matplotlib")
-    _, out = demo
-    now, shown = (described(folder / "report.png") for folder in (out, IMAGES))
+    from PIL import Image
+
+    with Image.open(demo[1] / "report.png") as picture, Image.open(IMAGES / "report.png") as kept:
+        now, shown = picture.info["Description"], kept.info["Description"]
     for name in ("latency of the transform", "vibration, peak", "acceleration, peak"):
         assert f"{name}: " in now
     # The last digit may be another where another processor rounds otherwise.
@@ -131,9 +124,7 @@ def test_the_closing_table_says_what_is_in_the_files(tmp_path):
     for name in SOUNDS:
         assert f"out/{name}" in done.stdout
     for words in (
-        "samples limited",
-        "unusable samples in the sound",
-        "time taken for 5.33 ms of sound",
+        *("samples limited", "unusable samples in the sound", "time taken for 5.33 ms of sound"),
         "report.png: all of it as a picture",
     ):
         assert words in done.stdout
@@ -148,8 +139,7 @@ def test_the_meter_is_drawn_on_a_terminal_and_leaves_stdout_to_the_table(tmp_pat
     assert "220 Hz" not in unwatched.stderr
     files = listing(tmp_path)
     done, drawn = on_a_terminal(*options, prelude=prelude, streams=("stderr",))
-    assert done.code == 0
-    assert listing(tmp_path) == files
+    assert (done.code, listing(tmp_path)) == (0, files)
     assert 10 <= drawn.count("220 Hz") <= 20  # 15 redraws a second of scene
     for label in ("sound", "vibration", "cushion", "engine", "0.9 of 1 s"):
         assert label in drawn
@@ -214,8 +204,7 @@ def test_the_demo_writes_over_what_an_earlier_one_left_and_nothing_else(tmp_path
         (tmp_path / name).write_bytes(b"old")
     assert fast_demo(tmp_path, monkeypatch=monkeypatch).code == 0
     files = listing(tmp_path)
-    assert files.keys() == SOUNDS | {"mine.txt"}
-    assert files["mine.txt"] == b"old"
+    assert (files.keys(), files["mine.txt"]) == (SOUNDS | {"mine.txt"}, b"old")
     assert all(files[name].startswith(b"RIFF") for name in SOUNDS)
 
 

@@ -87,8 +87,7 @@ def test_the_driver_tells_what_class_3_leaves_open(device: UsbAudioDevice, cards
     assert decoded["channels"] == 2
     assert decoded["samplerates"] == [44_100, 48_000, 88_200, 96_000, 176_400, 192_000]
     assert [(each["alternate"], each["audio_class"]) for each in listed] == [(7, 3), (3, 3)]
-    assert listed[0]["encodings"] == ["S16_LE"]
-    assert listed[1]["encodings"] == ["DSD"]
+    assert (listed[0]["encodings"], listed[1]["encodings"]) == (["S16_LE"], ["DSD"])
     (alone,) = formats_of(configuration)
     assert (alone["channels"], alone["samplerates"]) == (0, None)
 

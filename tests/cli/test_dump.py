@@ -87,10 +87,8 @@ def test_a_file_is_one_track_and_its_end_ends_the_dump(tmp_path):
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("--at 100", "allowed: 0 to 15.000 s"),
-        ("--tap capture:/none", "does not exist"),
-        ("--tap scene:demo --config /none.toml", "cannot be read"),
-        ("scene:demo", "scene:demo"),
+        *(("--at 100", "allowed: 0 to 15.000 s"), ("--tap capture:/none", "does not exist")),
+        *(("--tap scene:demo --config /none.toml", "cannot be read"), ("scene:demo", "scene:demo")),
     ],
 )
 def test_what_cannot_be_dumped_is_an_error_of_one_line(line, words):

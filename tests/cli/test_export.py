@@ -1,6 +1,5 @@
 """`cushion export`: files of every format, and what it refuses."""
 
-import json
 import tracemalloc
 from pathlib import Path
 from typing import Any
@@ -23,13 +22,14 @@ def source(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_name_s_ending_or_an_option_is_the_format(name: str, source: Path, folder: Path) -> None:
+    before = source.read_bytes()
+    assert "name two files" in refused(call("export", source, source, "--format", name))
+    assert source.read_bytes() == before
     for suffix in FORMATS[name].suffixes:
-        done = call("export", source, folder / f"out{suffix}", "--json")
-        report = json.loads(done.stdout)
+        report = document("export", source, folder / f"out{suffix}")
         assert (report["format"], report["frames"]) == (name, RATE // 2)
         assert report["bytes"] == (folder / f"out{suffix}").stat().st_size
-    done = call("export", source, folder / "out", "--format", name, "--json")
-    assert json.loads(done.stdout)["format"] == name
+    assert document("export", source, folder / "out", "--format", name)["format"] == name
 
 
 def test_protection_reports_the_exposure(source: Path, folder: Path) -> None:
@@ -66,13 +66,6 @@ def test_what_cannot_be_exported_is_refused_in_one_line(
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_the_sound_itself_is_never_overwritten(name: str, source: Path) -> None:
-    before = source.read_bytes()
-    assert "name two files" in refused(call("export", source, source, "--format", name))
-    assert source.read_bytes() == before
-
-
-@pytest.mark.parametrize("name", FORMATS)
 def test_unusable_samples_are_0_no_frames_refused(name: str, tmp_path: Path, folder: Path) -> None:
     empty = sound(tmp_path / "empty.wav", np.zeros((0, 1)))
     assert "0 frames" in refused(call("export", empty, folder / "out", "--format", name))
@@ -88,9 +81,7 @@ def test_64_channels_are_mixed_or_refused(name: str, tmp_path: Path, folder: Pat
     done = call("export", many, folder / "out", "--format", name)
     if name == "ogg-haptic":
         assert "cannot hold 64 channels of sound; allowed: 1 to 8" in refused(done)
-        assert listing(folder) == {}
-    else:
-        assert done.code == 0
+    assert (done.code == 0) == (name != "ogg-haptic") == bool(listing(folder))
 
 
 @pytest.mark.parametrize("name", FORMATS)

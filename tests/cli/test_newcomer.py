@@ -45,25 +45,6 @@ def test_a_name_never_promises_another_format_than_its_bytes(tmp_path: Path, nam
     assert not (tmp_path / name).exists()
 
 
-@pytest.mark.parametrize(
-    ("line", "meant"),
-    [
-        ("rendr", "render"),
-        ("render in.wav out.wav --profile cinma", "cinema"),
-        ("run --profile muisc", "music"),
-    ],
-)
-def test_a_mistyped_word_is_answered_with_the_nearest_one(line: str, meant: str) -> None:
-    assert f"did you mean {meant}?" in refused(call(*line.split()))
-
-
-def test_a_path_without_kind_may_be_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "films").mkdir()
-    sound(Path("films/a.wav"), noise(500))
-    assert "did you mean file:films/a.wav?" in refused(call("dump", "--tap", "films/a.wav"))
-
-
 def test_a_list_is_taken_or_refused_in_words_but_never_an_attribute_error() -> None:
     transform = HapticTransform(RATE, channels=1)
     with pytest.raises(UsageError, match="not sound in full scale"):

@@ -60,8 +60,7 @@ def test_a_foreign_file_is_neither_overwritten_nor_removed(home: Path, path: str
     for command in (("install", "--device", "dac"), ("remove",)):
         error = refused(call("plugin", *command))
         assert f"{foreign} is not of `cushion plugin install`" in error
-    assert files(home) == [Path(path)]
-    assert foreign.read_text() == "somebody's own\n"
+    assert (files(home), foreign.read_text()) == ([Path(path)], "somebody's own\n")
 
 
 def test_the_chain_has_the_default_of_what_is_played_unless_a_profile_is_named(home: Path) -> None:

@@ -41,6 +41,7 @@ def test_out_is_float32_wav_of_the_inputs_rate_and_length(tmp_path, out, form, m
         (8_000, 1, 4_000),
         (1_000, 3, 500),
         (192_000, 6, 9_999),
+        (768_000, 1, 190_000),
         (48_000, 64, 3_000),
         (48_000, 2, 1),  # shorter than a window, and than the latency
     ):
@@ -89,8 +90,7 @@ def test_the_same_command_gives_the_same_bytes_in_any_process_and_folder(tmp_pat
     done = cushion("render", "in.wav", "out/vibration.wav", cwd=tmp_path, env=env)
     assert (done.code, done.stderr) == (0, "")
     assert done.stdout.startswith("out/vibration.wav: 0.62 s of vibration, 1 channel at 48000 Hz")
-    assert done.stdout.count("\n") == 1
-    assert out.read_bytes() == here
+    assert (done.stdout.count("\n"), out.read_bytes()) == (1, here)
 
 
 def test_options_override_the_config_and_the_config_the_defaults(tmp_path, out):
@@ -200,8 +200,7 @@ def test_a_hard_link_of_the_input_is_replaced_and_the_input_left_alone(tmp_path,
     out.unlink()
     os.link(source, out)
     rendered(source, out)
-    assert out.read_bytes() == expected
-    assert source.read_bytes() == before
+    assert (out.read_bytes(), source.read_bytes()) == (expected, before)
 
 
 @pytest.mark.exhaustive
@@ -228,14 +227,6 @@ def test_the_acceleration_stands_beside_a_vibration_that_it_does_not_change(tmp_
     peak = float(np.abs(vibration(felt)).max()) * 100.0
     assert report["peak_acceleration_m_s2"] == pytest.approx(peak, rel=1e-6)
     assert 1.0 < peak < 100.0
-
-
-def test_protection_of_a_rig_that_nothing_can_harm_changes_no_byte(tmp_path, out):
-    source = sound(tmp_path / "in.wav", noise(RATE))
-    rendered(source, out)
-    usual = out.read_bytes()
-    rendered(source, out, "--protection", "on")
-    assert out.read_bytes() == usual
 
 
 def test_damping_is_heard_by_the_rig_in_file_and_acceleration_alike(tmp_path, out):

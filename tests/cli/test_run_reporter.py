@@ -44,11 +44,10 @@ def test_the_first_line_says_what_is_felt_and_where(
 
 
 def test_a_state_is_told_once_and_again_with_another_reason(told: Told) -> None:
-    told.keeper.enter(DaemonState.WAITING_FOR_DEVICE, 0.0, "no a")
-    assert told.lines() == ["cushion: waiting-for-device: no a"]
-    assert told.lines() == []
-    told.keeper.enter(DaemonState.WAITING_FOR_DEVICE, 0.0, "no b")
-    assert told.lines() == ["cushion: waiting-for-device: no b"]
+    for reason in ("no a", "no b"):
+        told.keeper.enter(DaemonState.WAITING_FOR_DEVICE, 0.0, reason)
+        assert told.lines() == [f"cushion: waiting-for-device: {reason}"]
+        assert told.lines() == []
 
 
 def test_what_was_over_within_one_look_is_told_all_the_same(told: Told) -> None:
@@ -86,8 +85,7 @@ def test_the_notes_are_few_and_each_is_handed_out_once() -> None:
     for number in range(1_000):
         keeper.count(Cause.RESYNC, str(number))
     notes = keeper.notes()
-    assert notes[-1] == Note(Cause.RESYNC, "999")
-    assert len(notes) == NOTES_MAX
+    assert (notes[-1], len(notes)) == (Note(Cause.RESYNC, "999"), NOTES_MAX)
     assert keeper.notes() == []
     keeper.count(Cause.STALL)
     assert keeper.notes() == [Note(Cause.STALL, "stall")]

@@ -15,7 +15,7 @@ from audioflinger_hook.exports import ahap, haptic_clip, vibration_xml
 from audioflinger_hook.exports.glides import Onset, VibrationCurve
 from audioflinger_hook.exports.options import FORMATS
 from device.errors import UsageError
-from tests.support.exports import CHECKS, RATE_HZ, check, exported, read_wave, scene
+from tests.support.exports import RATE_HZ, check, exported, read_wave, scene
 
 PARAMETRIC = [name for name, one in FORMATS.items() if one.parametric]
 
@@ -108,10 +108,6 @@ def test_a_format_of_one_channel_refuses_two(name: str, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"cannot hold 2 channels.*allowed: 1 to 1"):
         exported(scene(0.1, channels=2), tmp_path / "out", name, channels="each")
     assert not (tmp_path / "out").exists()
-
-
-def test_every_parametric_format_has_a_check() -> None:
-    assert set(CHECKS) == set(PARAMETRIC)
 
 
 def test_transients_of_ahap_undo_what_the_curve_takes_from_them(tmp_path: Path) -> None:

@@ -102,5 +102,4 @@ def test_an_aborted_file_gets_nothing_more():
     output = FadedOutput(kept, FADE)
     output.write(np.ones((2 * FADE, 1)))
     output.abort()
-    assert len(kept.whole) == FADE
-    assert kept.ended == ["aborted"]
+    assert (len(kept.whole), kept.ended) == (FADE, ["aborted"])

@@ -236,8 +236,7 @@ def test_what_cannot_be_written_is_one_line(tmp_path, capsys, monkeypatch, prepa
     prepare(tmp_path)
     assert figures.main(["--out", str(tmp_path / out)]) == 2
     said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.count("\n") == 1
+    assert (said.out, said.err.count("\n")) == ("", 1)
     assert said.err.startswith("figures: error: ")
     assert says in said.err
     assert str(tmp_path / out) in said.err

@@ -91,12 +91,8 @@ def test_every_layout_counts_both_sides_alike_and_leaves_out_no_channel():
         else:
             assert (halves == 1.0 / channels).all()
     assert downmix(6).tolist() == [
-        [1.0, 0.0],
-        [0.0, 1.0],
-        [MINUS_3_DB, MINUS_3_DB],
-        [MINUS_3_DB, MINUS_3_DB],
-        [MINUS_3_DB, 0.0],
-        [0.0, MINUS_3_DB],
+        *([1.0, 0.0], [0.0, 1.0], [MINUS_3_DB, MINUS_3_DB], [MINUS_3_DB, MINUS_3_DB]),
+        *([MINUS_3_DB, 0.0], [0.0, MINUS_3_DB]),
     ]
     assert downmix(7)[6].tolist() == [0.5, 0.5]
 
@@ -145,18 +141,6 @@ def test_opposite_channels_keep_their_attack():
 def test_what_is_alike_in_both_channels_keeps_the_bytes_of_mono(form):
     sound = speech_like()
     assert identical(played(columns(sound, sound), RATE, form=form), played(sound, RATE, form=form))
-
-
-@every_form
-@pytest.mark.parametrize("samplerate", [44_100, 48_000])
-def test_independent_channels_keep_the_bytes_of_their_mean(form, samplerate):
-    for seed in range(12):
-        left = white_noise(0.3, samplerate, 0.4, seed=2 * seed)
-        right = white_noise(0.3, samplerate, 0.4, seed=2 * seed + 1)
-        both = columns(left, right)
-        assert identical(
-            played(both, samplerate, form=form), played(both.mean(axis=1), samplerate, form=form)
-        )
 
 
 @pytest.mark.parametrize("highest_hz", [3_000, 23_000])

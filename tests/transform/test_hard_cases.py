@@ -10,7 +10,6 @@ from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.design.synthesis import LiveGrid
 from audioflinger_hook.transform.input_stage import BandPass, design_band_pass
 from audioflinger_hook.transform.reference import ReferenceTransform
-from device.layouts import downmix
 from tests.support.principal import principal_in
 from tests.support.signals import (
     FORMS,
@@ -18,7 +17,6 @@ from tests.support.signals import (
     best_sinusoid,
     chirp,
     columns,
-    energy_above_db,
     envelope,
     felt_hz,
     identical,
@@ -195,14 +193,6 @@ def test_a_sample_at_the_limit_of_magnitude_is_kept(form):
     assert vibration.any()
 
 
-@every_form
-def test_damage_in_one_channel_spares_the_others_in_the_per_channel_option(form):
-    good, bad = tone(300, 0.4, 48_000, 0.5), white_noise(0.4, 48_000)
-    bad[1_000:1_050] = np.nan
-    vibration = played(columns(good, bad), 48_000, form=form, per_channel=True)
-    assert identical(vibration[:, [0]], played(good, 48_000, form=form))
-
-
 @pytest.mark.parametrize("samplerate", [44_100, 48_000])
 def test_white_noise_at_full_scale_is_felt_27_db_down(samplerate):
     sound = white_noise(3.0, samplerate)
@@ -230,13 +220,6 @@ def test_two_tones_are_told_apart_from_60_hz_on(form, lower_hz, gap_hz):
     reach_hz = {60.0: 10.0, 90.0: 5.4}[gap_hz]
     for found in units:
         np.testing.assert_allclose(found, [lower_hz, lower_hz + gap_hz], rtol=0, atol=reach_hz)
-
-
-@pytest.mark.parametrize("gap_hz", [20.0, 30.0, 60.0, 90.0])
-def test_tones_that_merge_and_part_make_nothing_audible(gap_hz):
-    pair = tone(1_000, 2.0, 48_000, 0.4, 0.0) + tone(1_000 + gap_hz, 2.0, 48_000, 0.4, 1.0)
-    sound = joined(pair, silence(1.0, 48_000))
-    assert energy_above_db(played(sound, 48_000)[:, 0], 250.0, 48_000) <= -50.0
 
 
 def bin_hz(samplerate):
@@ -362,21 +345,10 @@ def test_every_samplerate_takes_noise_and_sweeps_to_its_very_top(form):
 
 
 @every_form
-@pytest.mark.parametrize("channels", [*range(1, 33), 64])
-def test_the_same_sound_on_any_number_of_channels_is_felt_the_same(form, channels):
-    sound = joined(tone(300, 0.2, 16_000, 0.5), white_noise(0.2, 16_000, 0.5))
-    alone = played(sound, 16_000, form=form)
-    # Each channel as much lower as all of them together are stronger, by the down-mix.
-    share = 1.0 / downmix(channels).mean(axis=1).sum()
-    together = played(np.tile(share * sound[:, None], channels), 16_000, form=form)
-    # The sum of equal numbers is theirs within rounding, which the analysis amplifies little.
-    np.testing.assert_allclose(together, alone, rtol=0, atol=1e-9)
-
-
-@every_form
 @pytest.mark.parametrize("channels", [1, 2, 5, 32, 64])
 def test_per_channel_gives_every_channel_its_own_vibration(form, channels):
     sounds = [tone(100 * 1.05**index, 0.3, 16_000, 0.5) for index in range(channels)]
+    sounds[-1][1_000:1_050] = np.nan  # spares the others
     vibration = played(columns(*sounds), 16_000, form=form, per_channel=True)
     assert vibration.shape[1] == channels
     for index in {0, channels // 2, channels - 1}:
@@ -391,8 +363,7 @@ def test_short_and_empty_streams_have_their_length(form, per_channel, channels, 
     sound = columns(*[white_noise(0.1, 48_000)[:frames]] * channels)
     transform = opened(48_000, channels, form, per_channel=per_channel)
     outputs = channels if per_channel else 1
-    if frames:
-        assert transform.process(sound).shape == (frames, outputs)
+    assert transform.process(sound).shape == (frames, outputs)
     after = transform.finish()
     assert after.shape == (transform.latency_frames, outputs)
     assert np.isfinite(after).all()

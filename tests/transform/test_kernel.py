@@ -340,14 +340,9 @@ def test_silence_is_the_same_however_its_frames_lie_in_memory(channels, dtype):
 @pytest.mark.parametrize(
     "block",
     [
-        np.zeros((10, 3), np.float32),
-        np.zeros(10),
-        np.zeros((10, 2), np.int16),
-        np.zeros((10, 2), np.complex128),
-        np.zeros((1, 10, 2)),
-        np.zeros(()),
-        np.full((10, 2), "loud"),
-        [1, 2, 3],
+        *(np.zeros((10, 3), np.float32), np.zeros(10), np.zeros((10, 2), np.int16)),
+        *(np.zeros((10, 2), np.complex128), np.zeros((1, 10, 2)), np.zeros(())),
+        *(np.full((10, 2), "loud"), [1, 2, 3]),
     ],
     ids=lambda block: f"{np.asarray(block).dtype} {np.shape(block)}",
 )

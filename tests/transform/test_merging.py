@@ -16,7 +16,6 @@ from audioflinger_hook.transform.mapping import VibrationMapping
 from tests.oracle import vibration_of
 from tests.oracle.partials import merge, merging_hz
 from tests.support.signals import (
-    columns,
     envelope,
     identical,
     joined,
@@ -260,17 +259,3 @@ def test_the_core_merges_as_its_oracle_does(ratio, kind):
         vibration = played(sound, RATE, parameters=parameters)
         assert vibration.any()
         assert np.abs(vibration - vibration_of(sound, RATE, parameters).samples).max() < 1e-6
-
-
-def test_opposite_channels_and_a_broken_one_are_felt_as_the_other():
-    sound = tones(CHORD_HZ, 0.8)
-    alone = played(sound, RATE, parameters=CINEMA)
-    for other in (-sound, np.full(sound.size, np.nan)):
-        vibration = played(columns(sound, other), RATE, parameters=CINEMA)
-        assert np.isfinite(vibration).all()
-        each = played(columns(sound, other), RATE, per_channel=True, parameters=CINEMA)
-        assert np.isfinite(each).all()
-        assert each[:, 0].any()
-        # Opposite sides do not cancel; a side without sound takes at most its half, 6 dB of level,
-        # which are 6 phon and 4 dB.
-        assert 10 * np.log10((vibration**2).sum() / (alone**2).sum()) > -4.0

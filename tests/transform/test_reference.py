@@ -188,7 +188,6 @@ def test_the_vibration_is_as_long_as_the_sound_and_stands_at_its_own_time(units)
     transform = made(sound, 44_100, form="reference")
     during = transform.process(sound)
     after = transform.finish()
-    assert during.shape == (sound.size, 1)
-    assert after.shape == (unit, 1)
+    assert (during.shape, after.shape) == ((sound.size, 1), (unit, 1))
     shifted = np.concatenate((during, after))[unit:, 0]
     np.testing.assert_allclose(shifted, oracle_vibration(sound, 44_100), rtol=0, atol=AGREEMENT)

@@ -6,14 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.config.profiles import parameters_of
 from audioflinger_hook.scenes.speech import speech
 from audioflinger_hook.transform import TransformParameters
-from tests.support.recordings import require_recordings
 from tests.support.signals import (
     FORMS,
     burst,
@@ -151,17 +149,6 @@ def test_any_split_of_any_mix_gives_the_bytes_of_one_block(form, kinds, level, l
 
 @pytest.mark.sweep
 @every_form
-def test_recordings_in_blocks_give_the_bytes_of_one_block(form):
-    for path in require_recordings()[::3]:
-        sound, samplerate = soundfile.read(path, always_2d=True)
-        expected = played(sound, samplerate, form=form)
-        for frames in (256, 1_000):
-            cut = in_blocks(sound, every(frames, len(sound)), samplerate, form=form)
-            assert identical(cut, expected), path.name
-
-
-@pytest.mark.sweep
-@every_form
 def test_asleep_and_awake_again_gives_the_same_bytes_in_any_blocks(form):
     samplerate = 44_100
     nap = silence(1.3, samplerate)
@@ -187,17 +174,6 @@ def test_what_follows_finish_or_reset_is_a_new_stream(way):
         transform.process(sound[: len(sound) // 2])
         end()
     assert identical(transform.process(sound), whole(way, 16_000, 4.8)[: len(sound)])
-
-
-@every_way
-@pytest.mark.parametrize("frames", [0, 1, 7, 256, 4_096])
-def test_each_block_gives_as_many_frames_as_it_takes(way, frames):
-    transform = made(stereo(48_000, 0.5), 48_000, **WAYS[way])
-    outputs = 2 if WAYS[way].get("per_channel") else 1
-    for first in range(0, 8_192, max(frames, 2_048)):
-        block = stereo(48_000, 0.5)[first : first + frames]
-        assert transform.process(block).shape == (frames, outputs)
-    assert transform.finish().shape == (transform.latency_frames, outputs)
 
 
 @every_way
