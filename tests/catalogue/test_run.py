@@ -22,7 +22,6 @@ from tests.support.commands import call, noise, refused, sound, start, vibration
 
 @pytest.fixture(scope="module")
 def sounds(tmp_path_factory):
-    """A library of six sounds."""
     return library(tmp_path_factory.mktemp("library") / "in", 6)
 
 
@@ -34,18 +33,15 @@ def expected(sounds, tmp_path_factory):
 
 
 def rendered_alone(folder, source, *options):
-    """Return the bytes that `render` writes for a sound."""
     assert call("render", source, folder / "alone.wav", *options).code == 0
     return (folder / "alone.wav").read_bytes()
 
 
 def told(sounds, out, *options):
-    """Run `cushion catalogue` in this process."""
     return call("catalogue", sounds, "--out", out, "--workers", 1, *options)
 
 
 def run(sounds, out, *options):
-    """Run `cushion catalogue` in this process and return its summary and exit code."""
     done = told(sounds, out, "--json", *options)
     return json.loads(done.stdout), done.code
 

@@ -41,7 +41,6 @@ def store(server, tmp_path, request):
 
 
 def remote_results(files, folder):
-    """Return the results in a folder of the bucket."""
     names = [name for name in files.find(folder) if not name.endswith((".json", ".jsonl"))]
     return {name.removeprefix(f"{folder}/"): files.cat_file(name) for name in names}
 

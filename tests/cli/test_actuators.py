@@ -17,7 +17,6 @@ from tests.support.signals import columns, tone
 
 @pytest.fixture
 def stereo(tmp_path):
-    """Sound whose left is a tone and whose right is another, of one second."""
     left, right = tone(110.0, 1.0, RATE, 0.4), tone(400.0, 1.0, RATE, 0.2)
     return sound(tmp_path / "in.wav", columns(left, right))
 

@@ -14,8 +14,6 @@ from tests.support.commands import (
     call,
     cushion,
     document,
-    held_back,
-    listing,
     noise,
     sound,
     start,
@@ -179,19 +177,3 @@ def test_an_interrupted_capture_is_finished_and_replays_without_warning(tmp_path
     assert (process.returncode, stdout, stderr) == (130, "", "cushion: interrupted\n")
     report = replayed(folder, tmp_path / "out.wav")
     assert report["buffers"] == buffers_there(folder)
-
-
-@pytest.mark.exhaustive
-def test_an_interrupted_replay_leaves_nothing(tmp_path):
-    frames = noise(RATE, 2)
-    written(tmp_path / "cap", *[(part, RATE, False) for part in np.split(frames, 100)])
-    before = listing(tmp_path)
-    with start("replay", tmp_path / "cap", tmp_path / "out.wav", "--speed", "1") as process:
-        reads = tmp_path / "cap"  # until it has a segment open there, and a file that it writes
-        until(
-            lambda: len(held_back(process, tmp_path)) > len(held_back(process, reads)) > 0, process
-        )
-        process.send_signal(signal.SIGINT)
-        stdout, stderr = process.communicate(timeout=10)
-    assert (process.returncode, stdout, stderr) == (130, "", "cushion: interrupted\n")
-    assert listing(tmp_path) == before

@@ -71,6 +71,7 @@ def test_a_dump_shows_the_mix_and_the_effect_after_a_second_if_nothing_is_said()
     ):
         assert expected in lines
     assert any(line.startswith("Cycle time of 188 cycles") for line in lines)
+    assert max(map(len, call("dump").stdout.splitlines())) <= 120
 
 
 @pytest.mark.exhaustive

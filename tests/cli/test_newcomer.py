@@ -5,10 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from audioflinger_hook import HapticTransform
 from audioflinger_hook.cli.terminal import as_typed
-from device.errors import UsageError
-from tests.support.commands import RATE, call, cushion, noise, refused, sound
+from tests.support.commands import call, cushion, noise, refused, sound
 from tests.support.terminal import Terminal
 
 SIMULATED = ("run", "--tap", "scene:demo", "--device", "twin", "--seconds", "1")
@@ -43,16 +41,6 @@ def test_a_name_never_promises_another_format_than_its_bytes(tmp_path: Path, nam
     error = refused(call("render", source, tmp_path / name))
     assert "written as WAV; allowed: a name that ends in .wav, .wave, .rf64" in error
     assert not (tmp_path / name).exists()
-
-
-def test_a_list_is_taken_or_refused_in_words_but_never_an_attribute_error() -> None:
-    transform = HapticTransform(RATE, channels=1)
-    with pytest.raises(UsageError, match="not sound in full scale"):
-        transform.process([1, 2, 3])  # type: ignore[arg-type]
-
-
-def test_the_table_of_a_dump_fits_120_columns() -> None:
-    assert max(map(len, call("dump").stdout.splitlines())) <= 120
 
 
 def test_a_run_on_a_terminal_shows_its_level() -> None:

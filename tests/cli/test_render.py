@@ -25,7 +25,6 @@ from tests.support.signals import FORMS, burst, columns, envelope, tone
 
 @pytest.fixture
 def out(folder):
-    """Where the vibration goes: a path in a folder of its own."""
     return folder / "vibration.wav"
 
 
@@ -113,7 +112,6 @@ def test_the_users_own_config_does_not_change_what_render_publishes(tmp_path, ou
 
 
 def strength(path, low_pass_hz=60.0):
-    """The envelope of a file's first channel."""
     return envelope(vibration(path)[:, 0].astype(float), RATE, low_pass_hz)
 
 
@@ -154,7 +152,10 @@ def test_the_envelopes_of_the_two_forms_line_up(tmp_path, out):
 def test_json_is_one_document_that_tells_what_is_in_the_file(tmp_path, out, form):
     samples = noise(24_000, 2)
     samples[100, 0], samples[200, 1], samples[201, 1] = np.nan, np.inf, -1e30
-    report = rendered(sound(tmp_path / "in.wav", samples), out, "--transform", form)
+    source = sound(tmp_path / "in.wav", samples)
+    said = call("render", source, out, "--transform", form).stdout
+    assert "3 unusable samples set to 0" in said
+    report = rendered(source, out, "--transform", form)
     assert report.keys() >= {"frames", "samplerate", "limited_samples"}
     assert report["replaced_samples"] == 3
     assert report["peak"] == pytest.approx(float(np.abs(vibration(out)).max()), rel=1e-6)

@@ -13,8 +13,6 @@ def no_manager(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Told:
-    """A reporter of one keeper, and what it said last."""
-
     def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
         self._capsys = capsys
         self.keeper = StateKeeper(0.0)

@@ -163,15 +163,11 @@ def test_undo_gives_back_each_earlier_state_and_keeps_later_edits(home: Path, pa
     assert sorted(path.parent.iterdir()) == [path, undone]
 
 
-def test_a_config_that_changed_during_the_questions_is_left_alone(path: Path) -> None:
+def test_a_config_that_changed_or_whose_backup_is_gone_is_left_alone(path: Path) -> None:
     path.write_text("gain_db = -1.0\n")
     with pytest.raises(UsageError, match="changed during the setup"):
         setup_files.write(path, None, "gain_db = -2.0\n", with_service=False)
     assert path.read_text() == "gain_db = -1.0\n"
-
-
-def test_a_backup_that_is_gone_leaves_the_config_alone(path: Path) -> None:
-    path.write_text("gain_db = -1.0\n")
     backup = setup_files.write(path, "gain_db = -1.0\n", "gain_db = -2.0\n", with_service=False)
     Path(backup).unlink()
     with pytest.raises(UsageError, match="is not changed"):

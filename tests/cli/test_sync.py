@@ -57,9 +57,9 @@ def test_a_negative_seed_and_answers_that_leave_the_delay_open_are_refused():
     assert "run `cushion sync` again" in said
 
 
-@pytest.mark.parametrize("options", [[], ["--json"]])
-def test_without_a_terminal_it_asks_nothing(options):
-    assert "not a terminal" in refused(call("sync", *options))
+def test_without_a_terminal_it_asks_nothing():
+    for options in ((), ("--json",)):
+        assert "not a terminal" in refused(call("sync", *options))
 
 
 def test_without_a_daemon_it_says_how_to_start_one(tmp_path):

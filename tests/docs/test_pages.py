@@ -35,12 +35,10 @@ USAGE = re.compile(r"\[options\]|^cushion (COMMAND|NAME)")  # a line that shows 
 
 
 def text_of(page: str) -> str:
-    """Return the text of a page."""
     return (ROOT / page).read_text()
 
 
 def block(language: str, page: str) -> str:
-    """Return the first block of a language on a page."""
     found = re.search(rf"```{language}\n(.*?)```", text_of(page), re.DOTALL)
     assert found, f"{page} has no {language} block"
     return found[1]

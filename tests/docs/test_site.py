@@ -14,8 +14,6 @@ pytestmark = pytest.mark.exhaustive
 
 
 class Fetched(HTMLParser):
-    """What a page of the site fetches."""
-
     def __init__(self, path: Path) -> None:
         super().__init__()
         self.sources: list[str] = []

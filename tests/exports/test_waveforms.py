@@ -22,13 +22,6 @@ def spectrum(vibration: Any, rate_hz: int) -> Any:
     return czt(vibration, 2_000, turn, np.exp(2j * np.pi * 20.0 / rate_hz)) / rate_hz
 
 
-def error_db(full: Any, full_hz: int, low: Any, low_hz: int) -> float:
-    """Return the energy of the difference between 20 and 220 Hz, in dB of the vibration's."""
-    wanted, found = spectrum(full, full_hz), spectrum(low, low_hz)
-    ratio = np.sum(np.abs(wanted - found) ** 2) / np.sum(np.abs(wanted) ** 2)
-    return float(10 * np.log10(ratio))
-
-
 @pytest.mark.parametrize("channels", ["mono", "each"])
 @pytest.mark.parametrize("profile", ["paper", "cinema"])
 def test_wav_at_its_rate_is_what_render_writes(channels: Any, profile: str, tmp_path: Path) -> None:
@@ -50,7 +43,8 @@ def test_1_khz_holds_it_in_a_fortieth_of_the_bytes(name: str, rate_hz: int, tmp_
     low, low_hz = read_wave(tmp_path / "low")
     assert low_hz == report.samplerate == 1_000
     assert len(low) == report.frames == -(-len(sound) * 1_000 // rate_hz)
-    assert error_db(full[:, 0], rate_hz, low[:, 0], low_hz) <= -60.0
+    wanted, found = spectrum(full[:, 0], rate_hz), spectrum(low[:, 0], low_hz)
+    assert np.sum(np.abs(wanted - found) ** 2) <= 1e-6 * np.sum(np.abs(wanted) ** 2)
     float_bytes = 4 * 48_000 * len(sound) / rate_hz
     assert report.bytes <= float_bytes / 40
 

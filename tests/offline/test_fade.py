@@ -23,7 +23,6 @@ FADE = round(FADE_S * RATE)
 
 
 def rendered(source: Path, out: Path, settings: Settings, fade_s: float = FADE_S) -> FloatArray:
-    """Return what a file's rendering holds, (frames, channels)."""
     render(TapClient(FileTap(source)), out, settings, fade_s=fade_s)
     return vibration(out).astype(np.float64)
 

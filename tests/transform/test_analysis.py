@@ -57,7 +57,6 @@ def strongest(design, spectra):
 
 
 def designed(spectrum, parameters=PARAMETERS, bins=None, **changes):
-    """Return the analysis of so many bins, or of all."""
     return replace(AnalysisDesign.of(parameters, spectrum, bins or spectrum.bins), **changes)
 
 

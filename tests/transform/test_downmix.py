@@ -47,7 +47,6 @@ def placed(channels, **at):
 
 
 def mixed(sound, samplerate=RATE):
-    """Return the mono mix of (frames, channels)."""
     mix = MonoMix(downmix(sound.shape[1]), samplerate)
     return mix.process(np.array(sound.T, np.float64, order="C"))
 

@@ -40,7 +40,6 @@ def test_by_energy_power_follows_height_squared_times_width():
 
 
 def by_either_law(sound, form):
-    """Return the vibration by the paper's law and by energy."""
     return (played(sound, RATE, form=form, parameters=each)[:, 0] for each in (PAPER, ENERGY))
 
 

@@ -173,7 +173,6 @@ def test_every_tone_is_felt_equally_strong_at_all_samplerates():
 
 
 def loud_piece(kind, hz, amplitude, samplerate):
-    """Return 0.1 s of sound."""
     hz = min(hz, 0.45 * samplerate)
     return {
         "tone": lambda: tone(hz, 0.1, samplerate, amplitude),

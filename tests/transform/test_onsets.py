@@ -30,7 +30,6 @@ def felt(sound, rate=RATE, onsets=True):
 
 
 def level(vibration, at_s, until_s):
-    """Return the mean of the envelope from one time to another."""
     strength, rate = thinned(vibration, RATE)
     return float(envelope(strength, rate)[round(at_s * rate) : round(until_s * rate)].mean())
 

@@ -14,7 +14,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import butter, sosfilt
 
 from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform import reference as reference_form
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.haptic import CoreStream
 from audioflinger_hook.transform.input_stage import BandPass, design_band_pass
@@ -29,12 +28,10 @@ from tests.support.signals import (
     burst,
     envelope,
     felt_hz,
-    five_tones,
     identical,
     joined,
     low_noise,
     one_sample,
-    played,
     silence,
     square,
     thinned,
@@ -47,12 +44,10 @@ PARAMETERS = TransformParameters()
 
 
 def changed(design, section, **values):
-    """Return a design with other values in one section."""
     return replace(design, **{section: replace(getattr(design, section), **values)})
 
 
 def vibration_of(design, sound):
-    """Return all vibration of a sound by a design."""
     stream = CoreStream(design, 1, False)
     return np.concatenate((stream.process(sound[:, None]), stream.finish()))[:, 0]
 
@@ -155,20 +150,6 @@ def test_nothing_under_the_silence_threshold_can_be_principal(seed, kind, window
     }[kind]()
     spectra = spectra_of(design, design.input.silence * window[None, :])
     assert len(all_principal(design.analysis, spectra)) == 0
-
-
-@pytest.mark.sweep
-@pytest.mark.parametrize("at_once", [1, 2, 5, 1_000])
-def test_how_many_units_are_analysed_at_once_changes_no_byte(monkeypatch, at_once):
-    sound = joined(
-        low_noise(0.5, 48_000, 0.04),
-        silence(0.6, 48_000),
-        five_tones(0.3, 48_000),
-        white_noise(0.3, 48_000),
-    )
-    usual = played(sound, 48_000, form="reference")
-    monkeypatch.setattr(reference_form, "UNITS_AT_ONCE", at_once)
-    assert identical(played(sound, 48_000, form="reference"), usual)
 
 
 @pytest.mark.parametrize(
