@@ -261,8 +261,7 @@ def test_without_a_network_the_recordings_leave_no_half_cache(bare, fetch):
         bare.add(name)
     done = bare.run(fetch)
     assert done.returncode == 0, done.stderr
-    assert len(done.stderr.splitlines()) == 1
-    assert list((bare.folder / ".cache").iterdir()) == []
+    assert (len(done.stderr.splitlines()), list((bare.folder / ".cache").iterdir())) == (1, [])
 
 
 def test_recordings_that_are_there_are_kept(bare):

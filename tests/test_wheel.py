@@ -28,7 +28,6 @@ pytestmark = pytest.mark.exhaustive
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where wheels are built and installed."""
     return tmp_path_factory.mktemp("wheel")
 
 
@@ -95,8 +94,7 @@ def test_one_wheel_serves_every_python_and_each_glibc_it_names(folder: Path, mac
 def test_it_renders_as_the_full_environment_does(environment: Path, tmp_path: Path) -> None:
     sound(tmp_path / "in.wav", noise(24_000, 2))
     done = run(environment, "cushion", "render", "in.wav", "out.wav", "--json", cwd=tmp_path)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert json.loads(done.stdout)["frames"] == 24_000
+    assert (done.returncode, done.stderr, json.loads(done.stdout)["frames"]) == (0, "", 24_000)
     assert np.abs(vibration(tmp_path / "out.wav")).max() > 0.01
 
 

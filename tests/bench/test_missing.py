@@ -193,8 +193,7 @@ def test_json_writes_no_file(monkeypatch, tmp_path):
 def test_the_tables_hold_every_row_as_json_and_as_csv(monkeypatch, tmp_path):
     tables = ("--tables", tmp_path / "tables")
     assert run_benches(monkeypatch, "--out", tmp_path / "page.md", *tables, works=fine).code == 0
-    report = json.loads((tmp_path / "tables.json").read_text())
-    (section,) = report["sections"]
+    (section,) = json.loads((tmp_path / "tables.json").read_text())["sections"]
     with (tmp_path / "tables.csv").open(newline="") as file:
         lines = list(csv.DictReader(file))
     assert len(lines) == len(section["rows"]) >= 1

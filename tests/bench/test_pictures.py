@@ -64,6 +64,5 @@ def test_without_matplotlib_that_is_told_before_anything_is_measured(monkeypatch
 def test_every_picture_has_its_own_section_and_says_what_it_shows(tmp_path):
     assert len({picture.section for picture in PICTURES}) == len(PICTURES)
     drawn = [tmp_path / "images" / picture.file_name for picture in PICTURES]
-    shown = shown_in(tmp_path / "page.md", drawn)
-    assert set(shown) == {picture.section for picture in PICTURES}
+    assert set(shown_in(tmp_path / "page.md", drawn)) == {picture.section for picture in PICTURES}
     assert all(picture.says and "]" not in picture.says for picture in PICTURES)

@@ -43,8 +43,7 @@ def offer_until_taken(recorder, frames, time_s, **options):
 def test_what_is_handed_over_arrives_bit_for_bit_through_many_turns_of_the_ring(tmp_path):
     random = np.random.default_rng(5)
     recorder = CaptureRecorder(CaptureWriter(tmp_path), capacity_samples=4_096)
-    handed = []
-    scratch = np.empty((512, 4), np.float32)
+    handed, scratch = [], np.empty((512, 4), np.float32)
     for number in range(1_000):
         shape = int(random.integers(0, 300)), 1 + number // 100 % 4
         frames = scratch[: shape[0], : shape[1]]  # the caller uses its memory again

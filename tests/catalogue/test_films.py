@@ -83,10 +83,8 @@ def test_track_and_language_can_be_chosen(tmp_path):
         *((200.0, {"language": "eng"}), (800.0, {"track": 3, "language": "eng"})),
     ):
         frames = frames_of(FilmTap(path, **chosen))[:, 0]
-        found_hz = (
-            np.abs(np.fft.rfft(frames * np.hanning(len(frames)))).argmax() * RATE / len(frames)
-        )
-        assert found_hz == pytest.approx(tone_hz, abs=5.0), chosen
+        found = np.abs(np.fft.rfft(frames * np.hanning(len(frames)))).argmax()
+        assert found * RATE / len(frames) == pytest.approx(tone_hz, abs=5.0), chosen
     lines = [{"audio": "a.mkv", "id": "one"}, {"audio": "a.mkv", "id": "two", "track": 3}]
     run = ("catalogue", manifest(tmp_path / "l.jsonl", *lines), "--out", tmp_path / "out")
     assert call(*run, "--language", "fra").code == 2

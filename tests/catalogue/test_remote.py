@@ -72,16 +72,14 @@ def test_without_fsspec_local_paths_work_and_urls_name_the_extra(tmp_path, monke
 def test_a_storage_without_whole_uploads_gets_a_new_name_last(tmp_path, monkeypatch):
     from fsspec.implementations.local import LocalFileSystem
 
-    seen = []
-    put_file = LocalFileSystem.put_file
+    seen, put_file = [], LocalFileSystem.put_file
 
     def watched(self, source, target, *arguments, **options):
         seen.append(os.path.basename(target))  # noqa: PTH119
         return put_file(self, source, target, *arguments, **options)
 
     monkeypatch.setattr(LocalFileSystem, "put_file", watched)
-    folder = library(tmp_path / "in", 2)
-    out = f"local://{tmp_path}/out"
+    folder, out = library(tmp_path / "in", 2), f"local://{tmp_path}/out"
     for state in ("rendered", "skipped"):
         done = call("catalogue", folder, "--out", out, "--workers", 1, "--json")
         assert json.loads(done.stdout)[state] == 2

@@ -73,8 +73,7 @@ def test_bytes_do_not_depend_on_order_shards_workers_or_interruptions(
     listed = manifest(folder / "list.jsonl", *lines)
     for stop in stops:  # a run that ends at a missing file, as an interruption would end it
         broken = [*lines[:stop], {"audio": "gone.wav"}, *lines[stop:]]
-        part = manifest(folder / "part.jsonl", *broken)
-        _, code = run(part, out, "--max-failures", 0)
+        _, code = run(manifest(folder / "part.jsonl", *broken), out, "--max-failures", 0)
         assert code == 2
     for shard in range(shards, 0, -1):
         share = f"{shard}/{shards}"
@@ -218,8 +217,7 @@ def test_a_result_never_replaces_the_sound_that_it_is_made_of(tmp_path):
 def test_a_failed_item_keeps_everything_that_its_line_said(tmp_path):
     line = {"audio": "gone.mkv", "id": "x/y", "start_s": 1.5, "duration_s": 2.0}
     line |= {"channels": [0, 1], "profile": "cinema", "track": 2, "language": "fra"}
-    listed = manifest(tmp_path / "list.jsonl", line)
-    assert run(listed, tmp_path / "out")[1] == 2
+    assert run(manifest(tmp_path / "list.jsonl", line), tmp_path / "out")[1] == 2
     (row,) = rows(tmp_path / "out/failed.jsonl")
     assert {name: row[name] for name in line} == line | {"audio": str(tmp_path / "gone.mkv")}
 
@@ -240,8 +238,7 @@ def test_a_part_of_a_sound_becomes_what_render_makes_of_that_part(tmp_path, kind
     assert run(manifest(tmp_path / "list.jsonl", *lines), tmp_path / "out")[1] == 0
     for number, (_, frames) in enumerate(parts):
         part = sound(tmp_path / "part.wav", samples[frames], LOW_RATE)
-        made = (tmp_path / f"out/{number}.wav").read_bytes()
-        assert made == rendered_alone(tmp_path, part)
+        assert (tmp_path / f"out/{number}.wav").read_bytes() == rendered_alone(tmp_path, part)
 
 
 def test_channels_and_profile_are_chosen_for_each_item(tmp_path):
@@ -335,8 +332,7 @@ def test_status_counts_what_is_done_outdated_missing_and_unreadable(sounds, tmp_
         sound(folder / name, noise(500), LOW_RATE)
     lines = [{"audio": str(path), "id": path.stem} for path in folder.iterdir()]
     listed = manifest(tmp_path / "list.jsonl", *lines, {"audio": "gone.wav"})
-    before = results(out)
-    done = call("catalogue", "status", listed, "--out", out, "--json")
+    before, done = results(out), call("catalogue", "status", listed, "--out", out, "--json")
     assert done.code == 0
     found = json.loads(done.stdout)
     assert found == {"items": 8, "done": 5, "outdated": 1, "missing": 1, "unreadable": 1}
@@ -350,8 +346,7 @@ def test_status_counts_what_is_done_outdated_missing_and_unreadable(sounds, tmp_
 def test_status_says_that_results_cannot_be_read(sounds, tmp_path, monkeypatch, error, code):
     monkeypatch.setattr(storage.LocalStorage, "read", Mock(side_effect=error))
     monkeypatch.setattr("time.sleep", lambda _: None)
-    done = call("catalogue", "status", sounds, "--out", tmp_path / "out")
-    said = refused(done, code)
+    said = refused(call("catalogue", "status", sounds, "--out", tmp_path / "out"), code)
     assert "cannot be read (Permission denied)" in said or "it is down" in said
 
 

@@ -55,15 +55,13 @@ def test_sounds_and_results_in_s3_have_the_bytes_of_local_ones(store, tmp_path):
     files.pipe(f"{folder}/out/s01.wav", b"other")
     files.pipe(f"{folder}/in/s02.wav", files.cat_file(f"{folder}/in/s03.wav"))
     assert json.loads(call(*arguments, "--workers", 1).stdout)["rendered"] == 2
-    status = call("catalogue", "status", *arguments[1:])
-    assert json.loads(status.stdout)["done"] == 4
+    assert json.loads(call("catalogue", "status", *arguments[1:]).stdout)["done"] == 4
 
 
 def test_worker_processes_reach_the_storage_by_themselves(store, tmp_path):
     _, env, files, folder, local = store
     lines = [{"audio": f"s3://{folder}/in/s{n:02d}.wav"} for n in range(4)]
-    listed = manifest(tmp_path / "l.jsonl", *lines)
-    out = f"s3://{folder}/out"
+    listed, out = manifest(tmp_path / "l.jsonl", *lines), f"s3://{folder}/out"
     done = cushion("catalogue", listed, "--out", out, "--workers", 2, env=env)
     assert (done.code, done.stderr) == (0, "")
     found = remote_results(files, f"{folder}/out")
@@ -91,8 +89,7 @@ def test_a_storage_that_stays_broken_fails_items_and_shows_no_credentials(store,
     monkeypatch.setattr("time.sleep", lambda seconds: None)
     application.failures[:] = [403] * 1_000
     application.fails = lambda method, path: "/in/" in path and path.endswith(".wav")
-    listed = json.dumps({"audio": f"s3://{folder}/in/s00.wav"})
-    files.pipe(f"{folder}/list.jsonl", listed.encode())
+    files.pipe(f"{folder}/list.jsonl", json.dumps({"audio": f"s3://{folder}/in/s00.wav"}).encode())
     out = f"s3://{folder}/out"
     done = call("catalogue", f"s3://{folder}/list.jsonl", "--out", out, "--workers", 1, "--debug")
     assert done.code == 2

@@ -306,8 +306,7 @@ def test_the_rule_for_usb_devices_needs_no_device(tmp_path, monkeypatch):
 
 
 def test_an_error_is_one_line_whatever_its_words_hold(tmp_path, out):
-    error = refused(call("render", tmp_path / "two\nlines\r.wav", out))
-    assert "does not exist" in error
+    assert "does not exist" in refused(call("render", tmp_path / "two\nlines\r.wav", out))
     refused(call("render", "a", "b", "--lo\nud"))
     refused(call("in\nspect"))
 

@@ -50,8 +50,7 @@ def test_the_twin_is_calibrated_and_its_file_holds_what_was_identified(tmp_path)
     for parameter, estimate in found["values"].items():
         stage, name = parameter.split(".")
         value, true = getattr(getattr(rig, stage), name), getattr(getattr(PAPER, stage), name)
-        assert value == estimate["value"]
-        assert value == pytest.approx(true, rel=0.02)
+        assert value == estimate["value"] == pytest.approx(true, rel=0.02)
         source = next(source for source in rig.sources if source.parameter == parameter)
         assert source.kind == "identified"
         assert "0.05" in source.words
@@ -125,8 +124,7 @@ def test_a_file_that_could_not_be_used_or_written_is_refused_before_anything_is_
 
 
 def test_a_known_rig_is_never_asked_to_move_more_than_its_sweep_may(capsys):
-    options = argparse.Namespace(level=0.25, loud=False)
-    known = replace(PAPER, sources=())
+    options, known = argparse.Namespace(level=0.25, loud=False), replace(PAPER, sources=())
     assert levelled(PAPER, SHORT, options).level == 0.25  # what is assumed limits nothing
     loud = levelled(replace(known, amplifier=replace(known.amplifier, gain=20.0)), SHORT, options)
     assert 0.0 < loud.level < 0.25

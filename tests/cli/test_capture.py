@@ -126,8 +126,7 @@ def test_changes_of_format_and_discontinuities_are_replayed_and_counted(tmp_path
     report = replayed(tmp_path / "cap", tmp_path / "out.wav")
     found = [report[name] for name in ("buffers", "format_changes", "discontinuities")]
     assert (found, report["samplerate"], report["channels"]) == ([14, 2, 2], RATE, 1)
-    info = soundfile.info(tmp_path / "out.wav")
-    assert info.frames == report["frames"] == 2 * 4_800 + 960
+    assert soundfile.info(tmp_path / "out.wav").frames == report["frames"] == 2 * 4_800 + 960
     # Up to the change it is what the first format alone gives.
     source = sound(tmp_path / "in.wav", np.concatenate((stereo, np.zeros((9_600, 2)))))
     assert call("render", source, tmp_path / "first.wav").code == 0
@@ -175,5 +174,4 @@ def test_an_interrupted_capture_is_finished_and_replays_without_warning(tmp_path
         process.send_signal(number)
         stdout, stderr = process.communicate(timeout=10)
     assert (process.returncode, stdout, stderr) == (130, "", "cushion: interrupted\n")
-    report = replayed(folder, tmp_path / "out.wav")
-    assert report["buffers"] == buffers_there(folder)
+    assert replayed(folder, tmp_path / "out.wav")["buffers"] == buffers_there(folder)

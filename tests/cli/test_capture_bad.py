@@ -21,8 +21,7 @@ def folder(tmp_path):
     folder = tmp_path / "cap"
     with CaptureWriter(folder) as writer:
         for seed in range(20):
-            frames = noise(480, 2, seed).astype(np.float32)
-            writer.write_buffer("tap", frames, RATE, 0.01 * seed)
+            writer.write_buffer("tap", noise(480, 2, seed).astype(np.float32), RATE, 0.01 * seed)
     return folder
 
 
@@ -88,8 +87,7 @@ def test_what_is_damaged_is_left_out_with_a_warning(tmp_path, folder, damage, wo
 
 
 def test_an_output_of_a_replay_that_cannot_be_written_is_refused(tmp_path, folder):
-    before = listing(folder)
-    out = tmp_path / "out.wav"
+    before, out = listing(folder), tmp_path / "out.wav"
     for output, words in (
         ([tmp_path / "none" / "out.wav"], f"folder {tmp_path}/none does not exist"),
         ([tmp_path], "is a folder"),
@@ -173,8 +171,7 @@ def test_wrong_seconds_are_refused(tmp_path, source):
 
 @pytest.mark.exhaustive
 def test_a_full_disk_ends_a_capture_that_is_replayed_up_to_there(tmp_path, small_disk):
-    done = call("capture", small_disk / "cap", "--tap", "scene:demo")
-    error = refused(done, 5)
+    error = refused(call("capture", small_disk / "cap", "--tap", "scene:demo"), 5)
     assert "the disk is full" in error
     assert "it can be replayed up to there" in error
     report, warnings = warned(small_disk / "cap", tmp_path / "out.wav")

@@ -51,8 +51,7 @@ def test_five_mistakes_are_reported_at_once_with_key_line_value_and_what_is_allo
         (7, "transform.window_s", "9", "0.01 to 0.2 s"),
         (8, "transform.partials_max", "2.5", "1 to 64"),
     ]
-    told = mistakes(path)
-    done = call("check", "--config", path, "--json")
+    told, done = mistakes(path), call("check", "--config", path, "--json")
     assert done.code == 2
     documents = json.loads(done.stdout)
     assert len(documents) == len(told) == len(expected)
@@ -196,8 +195,7 @@ def test_a_config_without_mistakes_passes(config, text):
 
 
 def test_rendering_with_mistakes_names_the_first_and_how_many_more(config, tmp_path):
-    source = sound(tmp_path / "in.wav", noise(3_000))
-    path = config(FIVE_MISTAKES)
+    source, path = sound(tmp_path / "in.wav", noise(3_000)), config(FIVE_MISTAKES)
     error = refused(call("render", source, tmp_path / "out.wav", "--config", path))
     assert f'line 2: profile = "loud" is not known; allowed: {PROFILES_ALLOWED}' in error
     assert "and 4 more" in error
@@ -267,8 +265,7 @@ def test_no_text_is_so_broken_that_checking_it_breaks(config, content):
 def test_the_users_config_is_looked_for_where_variables_say(tmp_path, monkeypatch, variable, place):
     monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
     monkeypatch.setenv(variable, str(tmp_path))
-    own = tmp_path / place
-    done = call("check")
+    own, done = tmp_path / place, call("check")
     assert (done.code, done.stderr) == (0, "")
     assert done.stdout == f"{own} does not exist: the defaults apply\n"
     assert call("check", "--json").stdout == "[]\n"

@@ -95,12 +95,10 @@ def test_the_picture_in_the_readme_is_of_the_demo_as_it_is_now(demo):
 def test_the_demo_goes_the_way_that_rendering_its_sound_goes(demo, tmp_path):
     _, out = demo
     assert np.array_equal(vibration(out / "scene.wav"), mixdown(demo_scene()))
-    felt = tmp_path / "acceleration.wav"
-    config = tmp_path / "config.toml"
+    felt, config = tmp_path / "acceleration.wav", tmp_path / "config.toml"
     config.write_text('[transform]\nstrength = "rig"\n')
     options = ("--profile", LIVE_DEFAULT, "--config", config, "--acceleration", felt)
-    done = call("render", out / "scene.wav", tmp_path / "vibration.wav", *options)
-    assert done.code == 0
+    assert call("render", out / "scene.wav", tmp_path / "vibration.wav", *options).code == 0
     assert (tmp_path / "vibration.wav").read_bytes() == (out / "vibration.wav").read_bytes()
     assert felt.read_bytes() == (out / "acceleration.wav").read_bytes()
 
@@ -133,10 +131,8 @@ def test_the_closing_table_says_what_is_in_the_files(tmp_path):
 
 @pytest.mark.exhaustive
 def test_the_meter_is_drawn_on_a_terminal_and_leaves_stdout_to_the_table(tmp_path):
-    options = ["demo", "--fast", "--out", tmp_path]
-    prelude = WITHOUT_MATPLOTLIB + ONE_SECOND
-    unwatched = cushion(*options, prelude=prelude)
-    assert "220 Hz" not in unwatched.stderr
+    options, prelude = ["demo", "--fast", "--out", tmp_path], WITHOUT_MATPLOTLIB + ONE_SECOND
+    assert "220 Hz" not in cushion(*options, prelude=prelude).stderr
     files = listing(tmp_path)
     done, drawn = on_a_terminal(*options, prelude=prelude, streams=("stderr",))
     assert (done.code, listing(tmp_path)) == (0, files)
@@ -166,9 +162,7 @@ def test_the_meter_says_silence_and_names_every_row(monkeypatch):
     sounds = [line for line in drawn.splitlines() if "sound" in line]
     assert sounds
     assert all(line.rstrip().endswith("silence") for line in sounds)
-    assert "-6.0 dBFS" in drawn
-    assert "felt at 20 Hz" in drawn
-    assert "m/s²" in drawn
+    assert all(words in drawn for words in ("-6.0 dBFS", "felt at 20 Hz", "m/s²")), drawn
 
 
 def fast_demo(folder, *, monkeypatch):

@@ -45,9 +45,7 @@ def test_what_plays_is_applications_alone() -> None:
     assert [application["name"] for application in found["applications"]] == ["mpv"]
 
 
-def test_rates_of_each_setting_are_those_that_the_driver_offers_of_this_device(
-    device: UsbAudioDevice, tmp_path: Path
-) -> None:
+def test_rates_of_each_setting_are_those_that_the_driver_offers_of_this_device(device, tmp_path):
     cards = Cards(tmp_path / "asound")
     assert by_setting(device, tmp_path / "asound") == {}
     cards.plug(2, "Other", stream=ADAPTIVE)

@@ -57,9 +57,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("line", "said"), REFUSED.items())
-def test_what_cannot_be_exported_is_refused_in_one_line(
-    line: str, said: str, source: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_exported_is_refused_in_one_line(line, said, source, folder, monkeypatch):
     monkeypatch.chdir(folder)
     assert said in refused(call("export", source, *line.split()))
     assert listing(folder) == {}
@@ -85,16 +83,13 @@ def test_64_channels_are_mixed_or_refused(name: str, tmp_path: Path, folder: Pat
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_a_full_disk_is_a_write_error_and_leaves_everything_as_it_was(
-    name: str, tmp_path: Path, small_disk: Path
-) -> None:
+def test_a_full_disk_is_a_write_error_and_leaves_everything_as_it_was(name, tmp_path, small_disk):
     rng = np.random.default_rng(5)
     # Struck every 0.1 s, so that every format has much to write; text takes more than samples do.
     strokes = 6 if name == "hjif" else 300
     struck = np.tile(np.exp(-np.arange(4_800) / 600.0), strokes)
     struck *= rng.standard_normal(strokes * 4_800)
-    source = sound(tmp_path / "in.wav", 0.3 * struck)
-    path = small_disk / "out"
+    source, path = sound(tmp_path / "in.wav", 0.3 * struck), small_disk / "out"
     path.write_bytes(b"old")
     error = refused(call("export", source, path, "--format", name, "--profile", "paper"), 5)
     assert f"cannot write {path}: the disk is full" in error
@@ -132,8 +127,7 @@ def test_a_sound_of_30_hours_is_refused_before_it_is_played(name: str, folder: P
 @pytest.mark.parametrize("name", [name for name, one in FORMATS.items() if not one.whole])
 def test_memory_does_not_grow_with_the_length(name: str, folder: Path) -> None:
     second, out = noise(8_000).astype(np.float32), folder / "out"
-    options = ExportOptions(name, 1_000 if name in ("wav", "flac") else None)
-    peaks = []
+    options, peaks = ExportOptions(name, 1_000 if name in ("wav", "flac") else None), []
     short = 1 if name == "partials" else 5  # partials of noise take long under tracemalloc
     for seconds in (short, short, 10 * short):  # the first run loads what is loaded once
         tracemalloc.start()

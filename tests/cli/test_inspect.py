@@ -10,7 +10,6 @@ from tests.support.signals import five_tones, silence, tone
 
 PRINCIPAL_KEYS = ["audio_hz", "amplitude", "bandwidth_hz", "r", "vibration_hz"]
 
-
 inspected = functools.partial(document, "inspect")
 
 

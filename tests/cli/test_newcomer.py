@@ -37,8 +37,7 @@ def test_the_help_names_only_taps_that_the_command_takes(command: str) -> None:
 
 @pytest.mark.parametrize("name", ["vibration.mp3", "vibration.flac", "vibration.ogg"])
 def test_a_name_never_promises_another_format_than_its_bytes(tmp_path: Path, name: str) -> None:
-    source = sound(tmp_path / "in.wav", noise(500))
-    error = refused(call("render", source, tmp_path / name))
+    error = refused(call("render", sound(tmp_path / "in.wav", noise(500)), tmp_path / name))
     assert "written as WAV; allowed: a name that ends in .wav, .wave, .rf64" in error
     assert not (tmp_path / name).exists()
 
@@ -77,9 +76,7 @@ def test_no_error_is_longer_than_a_few_lines_of_a_terminal() -> None:
         ("/usr/lib/audioflinger_hook/__main__.py", None, "cushion setup"),
     ],
 )
-def test_a_command_to_type_has_the_path_that_the_shell_needs(
-    monkeypatch: pytest.MonkeyPatch, started: str, found: str | None, expected: str
-) -> None:
+def test_a_command_to_type_has_the_path_that_the_shell_needs(monkeypatch, started, found, expected):
     monkeypatch.setattr("sys.argv", [started])
     monkeypatch.setattr(shutil, "which", lambda _: found)
     assert as_typed("setup") == expected

@@ -58,8 +58,7 @@ def test_a_foreign_file_is_neither_overwritten_nor_removed(home: Path, path: str
     foreign.parent.mkdir(parents=True)
     foreign.write_text("somebody's own\n")
     for command in (("install", "--device", "dac"), ("remove",)):
-        error = refused(call("plugin", *command))
-        assert f"{foreign} is not of `cushion plugin install`" in error
+        assert f"{foreign} is not of `cushion plugin install`" in refused(call("plugin", *command))
     assert (files(home), foreign.read_text()) == ([Path(path)], "somebody's own\n")
 
 

@@ -19,8 +19,7 @@ class Told:
         self.reporter = RunReporter()
 
     def lines(self, now_s: float = 0.0, *warnings: str) -> list[str]:
-        report = self.keeper.report(now_s)
-        self.reporter.report(report, self.keeper.notes(), list(warnings), now_s)
+        self.reporter.report(self.keeper.report(now_s), self.keeper.notes(), list(warnings), now_s)
         return self._capsys.readouterr().err.splitlines()
 
 
@@ -33,9 +32,7 @@ def told(capsys: pytest.CaptureFixture[str]) -> Told:
     return told
 
 
-def test_the_first_line_says_what_is_felt_and_where(
-    told: Told, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_first_line_says_what_is_felt_and_where(told, capsys):
     told.reporter.begin("default", "sink:seat")
     (line,) = capsys.readouterr().err.splitlines()
     assert line == "cushion: sound of default drives sink:seat; Ctrl+C ends it"
@@ -83,8 +80,7 @@ def test_the_notes_are_few_and_each_is_handed_out_once() -> None:
     for number in range(1_000):
         keeper.count(Cause.RESYNC, str(number))
     notes = keeper.notes()
-    assert (notes[-1], len(notes)) == (Note(Cause.RESYNC, "999"), NOTES_MAX)
-    assert keeper.notes() == []
+    assert (notes[-1], len(notes), keeper.notes()) == (Note(Cause.RESYNC, "999"), NOTES_MAX, [])
     keeper.count(Cause.STALL)
     assert keeper.notes() == [Note(Cause.STALL, "stall")]
 
@@ -96,9 +92,7 @@ def test_a_warning_is_told_when_it_comes_and_not_again_while_it_lasts(told: Told
     assert told.lines(0.0, "a", "b") == ["cushion: warning: a"]
 
 
-def test_a_warning_that_counts_is_told_when_it_begins_and_with_its_sum_at_the_end(
-    told: Told, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_warning_that_counts_is_told_when_it_begins_and_with_its_sum_at_the_end(told, capsys):
     said = [line for count in range(1, 100) for line in told.lines(0.0, f"{count} lost", "a")]
     assert said == ["cushion: warning: 1 lost", "cushion: warning: a"]
     told.reporter.end(["99 lost", "a", "b"])

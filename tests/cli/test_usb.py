@@ -4,7 +4,6 @@ import json
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -56,15 +55,13 @@ def test_unknown_bytes_are_kept(describe: Callable[..., Done]) -> None:
     configuration = usb_builder.configuration(headset_adapter()[9:] + odd) + b"\x09\xab"
     document = json.loads(describe(DEVICE + configuration, "--json").stdout)
     kept = "".join(each["bytes"] for each in document["configurations"]) + document["rest"]
-    assert kept == configuration.hex()
-    assert document["bytes"] == (DEVICE + configuration).hex()
+    assert (kept, document["bytes"]) == (configuration.hex(), (DEVICE + configuration).hex())
 
 
 def test_a_damaged_dump_says_what_is_lost_and_shows_the_rest(describe: Callable[..., Done]) -> None:
     done = describe((DEVICE + headset_adapter())[:-40])
     assert (done.code, done.stderr) == (0, "")
-    lines = done.stdout.splitlines()
-    size = len(headset_adapter())
+    lines, size = done.stdout.splitlines(), len(headset_adapter())
     lost = f"it has {size - 40} bytes, but wTotalLength is {size}: 40 missing"
     assert f"problem: at 0x0012, configuration: {lost}" in lines
     assert any(line.startswith("plays: interface 1.1, PCM of 16 bits") for line in lines)
@@ -131,9 +128,7 @@ HALF = {"name": "PCM Playback Switch", "muted": [True, False]}
         *(([SILENT], [], "silence"), ([NO_TABLE], [HALF], ""), ([], [], "")),
     ],
 )
-def test_the_loudest_channel_counts_and_a_mute_of_all_before_it(
-    volumes: list[dict[str, Any]], mutes: list[dict[str, Any]], word: str
-) -> None:
+def test_the_loudest_channel_counts_and_a_mute_of_all_before_it(volumes, mutes, word):
     assert volume_now({"volumes": volumes, "mutes": mutes, "problem": None}) == word
 
 

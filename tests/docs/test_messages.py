@@ -39,7 +39,6 @@ CALLS: dict[str, tuple[object, ...]] = {
     "nothing to set": ("usb", "set", "usb:1234:5678"),
 }
 
-
 TEXTS = [re.sub(r"\\([|*_])", r"\1", shown).replace("&lt;", "<") for shown in LINES.values()]
 PATTERNS = [
     ".*".join(map(re.escape, text.split(VALUE)))
@@ -55,9 +54,7 @@ def test_anchors_are_unique_and_every_area_has_messages() -> None:
 
 
 @pytest.mark.parametrize("what", CALLS)
-def test_what_a_wrong_command_says_is_on_the_page(
-    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_wrong_command_says_is_on_the_page(what, tmp_path, monkeypatch):
     sound(tmp_path / "sound.wav", noise(RATE))
     (tmp_path / "text.txt").write_text("no sound")
     monkeypatch.chdir(tmp_path)

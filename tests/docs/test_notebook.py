@@ -67,8 +67,7 @@ def test_each_cell_prints_what_it_printed_and_draws_where_it_drew(tmp_path: Path
     ran = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=env)
     assert (ran.returncode, ran.stderr) == (0, "")
     found = ran.stdout.split(f" {END_OF_CELL}\n")
-    kept = [f"{printed(cell)}{len(pictures(cell))}" for cell in CODE]
-    assert found == [*kept, ""]
+    assert found == [*[f"{printed(cell)}{len(pictures(cell))}" for cell in CODE], ""]
     assert [path.name for path in tmp_path.iterdir()] == ["cells.py"], "it writes no file"
 
 

@@ -28,7 +28,6 @@ def rendered(source: Path, out: Path, settings: Settings, fade_s: float = FADE_S
 
 
 def gains(frames: int) -> FloatArray:
-    """Return the gain of each of the last frames, (frames, 1)."""
     share = (np.arange(frames)[:, None] + 0.5) / max(1, frames)
     return np.asarray(0.5 + 0.5 * np.cos(np.pi * share))
 
@@ -88,8 +87,7 @@ def test_no_sample_depends_on_the_blocks_and_none_is_lost(fade, lengths, channel
         output.write(block)
         assert np.array_equal(block, before)
     output.close()
-    faded = min(fade, len(frames))
-    whole = frames.copy()
+    faded, whole = min(fade, len(frames)), frames.copy()
     whole[len(frames) - faded :] *= gains(faded)
     np.testing.assert_allclose(kept.whole, whole, atol=1e-6)
     assert kept.ended == ["closed"]

@@ -39,8 +39,7 @@ def speech_like(samplerate=RATE):
 
 def placed(channels, **at):
     """Return a sound of so many channels, silent but for those named: FL=sound, ..."""
-    frames = len(next(iter(at.values())))
-    sound = np.zeros((frames, channels))
+    sound = np.zeros((len(next(iter(at.values()))), channels))
     for position, samples in at.items():
         sound[:, layout(channels).index(position)] = samples
     return sound
@@ -75,8 +74,7 @@ def test_bass_and_surrounds_are_felt_3_db_lower_than_the_front(form):
     for position in ("BL", "BR"):
         back = played(placed(6, **{position: speech_like()}), RATE, form=form)
         np.testing.assert_allclose(back, lower, rtol=0, atol=1e-12)
-    bass = played(placed(6, LFE=tone(60, 0.6, RATE, 0.5)), RATE, form=form)
-    assert np.abs(bass).max() > 0.1
+    assert np.abs(played(placed(6, LFE=tone(60, 0.6, RATE, 0.5)), RATE, form=form)).max() > 0.1
     assert front.any()
 
 
@@ -145,8 +143,7 @@ def test_what_is_alike_in_both_channels_keeps_the_bytes_of_mono(form):
 @pytest.mark.parametrize("highest_hz", [3_000, 23_000])
 def test_no_beginning_of_independent_noise_is_taken_for_opposite(highest_hz):
     # The first samples of some are opposite, and of low noise for some time: 500 beginnings.
-    rng = np.random.default_rng(5)
-    sections = butter(2, highest_hz, fs=RATE, output="sos")
+    rng, sections = np.random.default_rng(5), butter(2, highest_hz, fs=RATE, output="sos")
     for _ in range(500):
         noise = rng.normal(0.0, 10.0 ** rng.uniform(-5, -1), (3_000, 2))
         sound = sosfilt(sections, noise, axis=0)[1_000:]
@@ -165,8 +162,7 @@ def test_the_sum_of_powers_takes_over_without_a_step():
     # The right channel turns from equal to opposite and back in two seconds.
     at = np.arange(2 * RATE) / RATE
     left = 0.5 * np.sin(2 * np.pi * 100.0 * at)
-    sound = columns(left, left * np.cos(np.pi * at))
-    mono = mixed(sound)
+    mono = mixed(columns(left, left * np.cos(np.pi * at)))
     steepest = 0.5 * 2 * np.pi * 100.0 / RATE
     assert np.abs(np.diff(mono)).max() < 1.2 * steepest
     middle = mono[round(0.95 * RATE) : round(1.05 * RATE)]

@@ -56,8 +56,7 @@ def test_digital_silence_is_exact_zeros(form, samplerate):
 @every_form
 @pytest.mark.parametrize("samplerate", SAMPLERATES)
 def test_one_full_scale_sample_is_a_short_bounded_thump(form, samplerate):
-    sound = one_sample(1.5, samplerate, 0.2)
-    vibration = played(sound, samplerate, form=form)[:, 0]
+    vibration = played(one_sample(1.5, samplerate, 0.2), samplerate, form=form)[:, 0]
     assert 0.01 < np.abs(vibration).max() < 1.0
     where = vibration.nonzero()[0] / samplerate
     assert where[0] >= 0.2
@@ -75,8 +74,7 @@ def test_a_lone_sample_quieter_than_the_threshold_is_not_felt(form):
 @pytest.mark.parametrize("level", [1.0, -1.0, 0.2])
 def test_of_dc_only_the_step_at_its_start_is_felt(form, level):
     sound = joined(silence(0.215, 48_000), np.full(2 * 48_000, level))
-    transform = made(sound, 48_000, form=form)
-    vibration = transform.process(sound)
+    vibration = made(sound, 48_000, form=form).process(sound)
     assert np.abs(vibration).max() < 1.0
     assert vibration[: round(0.8 * 48_000)].any()
     assert not vibration[round(0.8 * 48_000) :].any()
@@ -152,8 +150,7 @@ def test_no_filter_state_decays_into_denormal_numbers_however_long_the_silence(s
     band_pass = BandPass(*design_band_pass(PARAMETERS, samplerate))
     band_pass.process(joined(tone(300, 0.5, samplerate), white_noise(0.1, samplerate)))
     for _ in range(6):
-        filtered = band_pass.process(np.full(samplerate, level))
-        for numbers in (filtered, band_pass._state):
+        for numbers in (band_pass.process(np.full(samplerate, level)), band_pass._state):
             size = np.abs(numbers)
             assert not ((size > 0) & (size < np.finfo(np.float64).tiny)).any()
 
@@ -262,10 +259,8 @@ def test_an_awkward_tone_is_the_one_principal_frequency_and_one_pure_sinusoid(sa
 @pytest.mark.parametrize("snr_db", [0, 10, 20, 40, 60])
 def test_frequencies_in_noise_are_found_nearly_as_well_as_can_be(snr_db):
     samplerate, trials = 48_000, 300
-    frames = PARAMETERS.window_frames(samplerate)
-    rng = np.random.default_rng(snr_db)
-    hz = rng.uniform(300, 11_000, trials)
-    phase = rng.uniform(0, 2 * np.pi, trials)
+    frames, rng = PARAMETERS.window_frames(samplerate), np.random.default_rng(snr_db)
+    hz, phase = rng.uniform(300, 11_000, trials), rng.uniform(0, 2 * np.pi, trials)
     sigma = np.sqrt(0.5 / 10 ** (snr_db / 10))
     turns = hz[:, None] * np.arange(frames) / samplerate
     units = np.sin(2 * np.pi * turns + phase[:, None]) + rng.normal(0, sigma, (trials, frames))
@@ -301,8 +296,7 @@ def test_a_chirp_through_the_band_rises_without_a_dropout(samplerate, seconds):
     below = np.flatnonzero((vibration[:-1] < 0) & (vibration[1:] >= 0))
     below = below[(below > edge) & (below < vibration.size - edge)]
     crossings = (below + vibration[below] / (vibration[below] - vibration[below + 1])) / rate
-    count = np.arange(crossings.size)
-    sampled = np.arange(crossings[0], crossings[-1], 0.25)
+    count, sampled = np.arange(crossings.size), np.arange(crossings[0], crossings[-1], 0.25)
     turns = np.interp(sampled, crossings, count)
     assert (np.diff(turns, 2) > 0).all()
     expected = felt_hz(80) + PARAMETERS.scale_hz * np.log(11_000 / 80) * (sampled / seconds)
@@ -380,8 +374,7 @@ def test_a_steady_stream_leaves_its_state_steady_however_long_it_lasts(form):
     period = hops if form != "reference" else PARAMETERS.window_frames(samplerate)
     sound = tone(20 * samplerate / period, period / samplerate, samplerate, 0.4)
     transform.process(np.tile(sound, 20))
-    size = len(pickle.dumps(transform))
-    early = transform.process(sound)
+    size, early = len(pickle.dumps(transform)), transform.process(sound)
     transform.process(np.tile(sound, 300))
     late = transform.process(sound)
     # No list, array or number grows; a few bytes hold a longer counter.
@@ -400,8 +393,7 @@ def test_a_steady_stream_leaves_its_state_steady_however_long_it_lasts(form):
 def test_an_hour_of_silence_leaves_no_trace(form):
     left = joined(tone(300, 0.5, 8_000, 0.5), white_noise(0.3, 8_000))
     sound = columns(left, -left)  # the powers of opposite channels are remembered, too
-    fresh = played(sound, 8_000, form=form)
-    transform = made(sound, 8_000, form=form)
+    fresh, transform = played(sound, 8_000, form=form), made(sound, 8_000, form=form)
     transform.process(sound)
     # A whole number of hops and of units, so that both grids fall alike on the sound.
     grid = PARAMETERS.window_frames(8_000) * LiveGrid.at(PARAMETERS, 8_000).hop_frames

@@ -47,7 +47,6 @@ SLOW_BEATS_HZ = {
 """Multiples of half the hop rate, and nearly: there a tone's phase against its own image turns so
 slowly from hop to hop that no averaging takes the image's pull away."""
 
-
 TONES = [(hz, amplitude) for hz in TONES_HZ for amplitude in (0.02, 0.6, 1.0)]
 
 
@@ -66,8 +65,7 @@ def test_a_steady_tone_is_a_pure_sinusoid_as_strong_as_in_the_reference(hz, ampl
     found_hz, level, residual_db = best_sinusoid(*thinned(middle, samplerate), felt_hz(hz))
     assert abs(found_hz - felt_hz(hz)) <= 0.05
     assert residual_db <= -70.0
-    # The reference form's own level moves by 0.2 dB, by where between two bins a tone stands. At
-    # full scale its side lobes can pass C_th, two at a time, each with a percent of the tone's r.
+    # The reference's own level moves by 0.2 dB; at full scale its side lobes can pass C_th.
     form = ReferenceTransform(PARAMETERS, samplerate)
     units = form.cut(sound)
     found = form.analyse(units)
@@ -136,8 +134,7 @@ def agreement_with_reference(sound, samplerate):
     units = np.concatenate((form.cut(sound), form.cut_last()))
     theirs = form._finder.all_principal(magnitude(form._spectrum.transform(units)))
     ours = principal_in(units, samplerate)
-    reach_hz = samplerate / PARAMETERS.fft_length(samplerate) / 2
-    both = 0
+    reach_hz, both = samplerate / PARAMETERS.fft_length(samplerate) / 2, 0
     for unit in range(len(units)):
         free = list(ours.audio_hz[ours.row == unit])
         for hz in theirs.audio_hz[theirs.row == unit]:
@@ -168,8 +165,7 @@ def test_every_tone_is_felt_equally_strong_at_all_samplerates():
         sounds = [tone(hz, 1.0, samplerate, 0.3) for samplerate in SAMPLERATES]
         felt = [made(*one).process(one[0])[:, 0] for one in zip(sounds, SAMPLERATES, strict=True)]
         ends = [thinned(one[one.size // 2 :], one.size) for one in felt]
-        levels = [best_sinusoid(*end, felt_hz(hz))[1] for end in ends]
-        assert np.ptp(20 * np.log10(levels)) <= 0.1
+        assert np.ptp(20 * np.log10([best_sinusoid(*end, felt_hz(hz))[1] for end in ends])) <= 0.1
 
 
 def loud_piece(kind, hz, amplitude, samplerate):
@@ -268,14 +264,12 @@ def test_after_the_sound_it_rings_out_into_exact_zeros(samplerate):
     ringing = transform.process(silence(0.6, samplerate))
     assert np.abs(ringing).max() > 0.01
     # The last hops fall silent together: no step above the ringing's own end.
-    last = np.abs(ringing[ringing[:, 0].nonzero()[0][-100:], 0]).max(initial=0.0)
-    assert last < 1e-9
+    assert np.abs(ringing[ringing[:, 0].nonzero()[0][-100:], 0]).max(initial=0.0) < 1e-9
     assert not transform.process(silence(2.0, samplerate)).any()
 
 
 def test_finish_gives_what_silence_would_have_brought():
     sound = tone(300, 0.31, 44_100)
-    finished = played(sound, 44_100)
-    transform = made(sound, 44_100)
+    finished, transform = played(sound, 44_100), made(sound, 44_100)
     silenced = transform.process(np.concatenate((sound, np.zeros(transform.latency_frames))))
     assert identical(finished, silenced)

@@ -34,7 +34,6 @@ def track(name):
 
 @functools.cache
 def talk(seconds):
-    """Return the demo scene's speaker going on and on."""
     return np.resize(track("speech"), round(seconds * RATE))
 
 
