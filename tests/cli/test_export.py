@@ -1,5 +1,6 @@
 """`cushion export`: files of every format, and what it refuses."""
 
+import json
 import tracemalloc
 from pathlib import Path
 from typing import Any
@@ -26,10 +27,11 @@ def test_a_name_s_ending_or_an_option_is_the_format(name: str, source: Path, fol
     assert "name two files" in refused(call("export", source, source, "--format", name))
     assert source.read_bytes() == before
     for suffix in FORMATS[name].suffixes:
-        report = document("export", source, folder / f"out{suffix}")
+        report = json.loads(call("export", source, folder / f"out{suffix}", "--json").stdout)
         assert (report["format"], report["frames"]) == (name, RATE // 2)
         assert report["bytes"] == (folder / f"out{suffix}").stat().st_size
-    assert document("export", source, folder / "out", "--format", name)["format"] == name
+    done = call("export", source, folder / "out", "--format", name, "--json")
+    assert json.loads(done.stdout)["format"] == name
 
 
 def test_protection_reports_the_exposure(source: Path, folder: Path) -> None:
