@@ -36,7 +36,6 @@ PROGRAMS += ["mktemp", "readlink", "rm", "sed", "sh", "sort", "tail", "tr"]
 
 @pytest.fixture(scope="module")
 def project_copy(tmp_path_factory):
-    """A copy of the project's sources, nothing compiled in it."""
     copy = tmp_path_factory.mktemp("wheel")
     for name in ["pyproject.toml", "setup.py", "README.md", "LICENSE"]:
         if (ROOT / name).exists():

@@ -135,8 +135,6 @@ def test_an_item_that_ends_its_worker_fails_alone(tmp_path):
 
 
 class Cluster(contextlib.ExitStack):
-    """A Dask scheduler and two workers, each in a separate process."""
-
     def __init__(self, folder):
         super().__init__()
         self._options = f"--nthreads 1 --no-nanny --no-dashboard --local-directory {folder}"

@@ -27,7 +27,6 @@ def sounds(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def expected(sounds, tmp_path_factory):
-    """The bytes that `render` writes for each of them."""
     folder = tmp_path_factory.mktemp("alone")
     return {source.name: rendered_alone(folder, source) for source in sorted(sounds.iterdir())}
 

@@ -37,7 +37,6 @@ READERS = ["render", "inspect"]
 
 @pytest.fixture
 def source(tmp_path):
-    """A fifth of a second of sound that nothing is wrong with."""
     return sound(tmp_path / "in.wav", noise(9_600, 2))
 
 

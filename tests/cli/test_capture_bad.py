@@ -17,7 +17,6 @@ def source(tmp_path):
 
 @pytest.fixture
 def folder(tmp_path):
-    """A capture of 20 buffers of stereo noise."""
     folder = tmp_path / "cap"
     with CaptureWriter(folder) as writer:
         for seed in range(20):

@@ -123,7 +123,6 @@ def test_what_cannot_be_meant_is_refused_before_anything_is_done(sources, folder
 
 @pytest.fixture(scope="module")
 def long_sources(tmp_path_factory):
-    """Three minutes of noise in several files, so that two are always under way."""
     folder, minute = tmp_path_factory.mktemp("long"), np.tile(noise(RATE, 2), (60, 1))
     return [sound(folder / f"{n}.wav", minute, subtype="PCM_16") for n in range(3)]
 

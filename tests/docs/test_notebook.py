@@ -19,7 +19,6 @@ CODE: list[Cell] = [cell for cell in NOTEBOOK["cells"] if cell["cell_type"] == "
 
 
 def printed(cell: Cell) -> str:
-    """Return the text that a cell printed when it was run in Jupyter."""
     streams = [one for one in cell["outputs"] if one["output_type"] == "stream"]
     assert {one["name"] for one in streams} <= {"stdout"}
     return "".join("".join(one["text"]) for one in streams)

@@ -29,7 +29,6 @@ class Fetched(HTMLParser):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a site, just built; warnings are errors."""
     if find_spec("material") is None:
         pytest.skip("mkdocs-material is not installed: run `make docs` once")
     folder = tmp_path_factory.mktemp("site")
