@@ -87,8 +87,7 @@ def test_an_impact_begins_suddenly_and_a_brief_one_is_over_soon():
     sudden, brief = (
         [is_impact(sound, SAMPLERATE, brief=brief) for sound in sounds] for brief in (False, True)
     )
-    assert sudden == [True, True, False, True]
-    assert brief == [True, False, False, False]
+    assert (sudden, brief) == ([True, True, False, True], [True, False, False, False])
 
 
 @settings(deadline=None, max_examples=10)
@@ -113,8 +112,7 @@ def test_a_tone_that_comes_again_and_again_rises_each_time(rate_hz):
 
 def test_only_rises_without_one_in_the_sound_are_a_vibrations_own():
     sound, steady = beats_a_second(4.0), tone(200.0, 0.5, 2.0)
-    late = np.roll(sound, SAMPLERATE // 50)
-    assert rises_of_its_own(sound, late, SAMPLERATE) == 0.0
+    assert rises_of_its_own(sound, np.roll(sound, SAMPLERATE // 50), SAMPLERATE) == 0.0
     assert rises_of_its_own(steady, sound, SAMPLERATE) == pytest.approx(4.0, abs=0.5)
     assert rises_of_its_own(sound, steady, SAMPLERATE) == 0.0
 

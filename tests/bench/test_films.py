@@ -36,8 +36,7 @@ SECOND = SAMPLERATE
 
 def made_sounds(a_class=3):
     """Sounds of every class: noise, dying away where the class is one of strokes."""
-    rng = np.random.default_rng(3)
-    found = []
+    rng, found = np.random.default_rng(3), []
     for kind in KINDS:
         for number in range(a_class):
             sound = 0.3 * rng.standard_normal((1 + number) * SECOND)
@@ -83,8 +82,7 @@ def test_a_film_is_made_by_its_seed_of_parts_that_follow_one_another(made_film):
 @given(st.integers(1, 4 * SECOND), st.integers(2, SECOND))
 @settings(max_examples=20, deadline=None)
 def test_a_sound_goes_on_for_as_long_as_wanted_at_its_level(frames, length):
-    rng = np.random.default_rng(1)
-    played = going_on(0.1 * rng.standard_normal(length), frames, -20.0)
+    played = going_on(0.1 * np.random.default_rng(1).standard_normal(length), frames, -20.0)
     assert played.size == frames
     if frames > 1:
         assert 20.0 * np.log10(float(played.std())) == pytest.approx(-20.0, abs=1e-6)
@@ -116,8 +114,7 @@ def test_a_stroke_is_as_strong_as_its_strongest_moment():
 
 
 def test_strokes_stand_out_if_their_rise_is_larger_than_most_others():
-    rng = np.random.default_rng(2)
-    levels = -30.0 + rng.uniform(0.0, 5.0, 20_000)
+    levels = -30.0 + np.random.default_rng(2).uniform(0.0, 5.0, 20_000)
     strokes = np.arange(2_000.0, 20_000.0, 4_000.0)
     for at in strokes.astype(int):
         levels[at] = -30.0
@@ -189,8 +186,7 @@ def test_the_soft_power_of_a_sounds_own_strength_matches_its_momentary_loudness(
     at = round(onset_s * SECOND)
     sound[:at] = 0.0
     sound[at:] *= np.exp(-np.arange(SECOND - at) / 6_000.0)
-    steps = round(PIECE_S / STEP_S)
-    sone = loudness_sone(sound)
+    steps, sone = round(PIECE_S / STEP_S), loudness_sone(sound)
     sone = sone[: sone.size // steps * steps].reshape(-1, steps).mean(axis=1)
     # In time with the sound: its amplitude to the power that loudness follows.
     assert match(sone, pieces_rms(sound, SAMPLERATE) ** 0.6) > 90.0
@@ -207,16 +203,14 @@ def test_classes_that_differ_in_strength_are_told_apart_and_equal_ones_are_not()
 
 def test_features_of_a_steady_tone_have_no_spread_and_its_frequency_as_centroid():
     level, spread, moved, centroid, wide, glide = features(tone(80.0, 1.0, 1.0), SAMPLERATE)
-    assert level == pytest.approx(-3.01, abs=0.01)
-    assert centroid == pytest.approx(80.0, abs=1.0)
+    assert (level, centroid) == (pytest.approx(-3.01, abs=0.01), pytest.approx(80.0, abs=1.0))
     assert max(spread, moved) < 0.01
     assert max(wide, glide) < 1.0
     assert not features(np.zeros(SECOND), SAMPLERATE).any()
 
 
 def test_a_tone_whose_level_drifts_slowly_has_no_distortion_and_one_that_warbles_has():
-    time_s = np.arange(3 * SECOND) / SECOND
-    sine = tone(90.0, 0.3, 3.0)
+    time_s, sine = np.arange(3 * SECOND) / SECOND, tone(90.0, 0.3, 3.0)
     assert steady_fit(sine * (1.0 + 0.1 * time_s), SAMPLERATE) < -100.0
     warbling = steady_fit(sine * (1.0 + 0.02 * np.sin(2 * np.pi * 6.0 * time_s)), SAMPLERATE)
     # Two side bands of a hundredth each.
@@ -247,8 +241,7 @@ def test_pink_noise_has_as_much_energy_in_every_octave():
 def test_the_sound_has_a_column_of_its_own_on_films_and_on_impacts():
     series: felt_films.Series = {}
     rows = list(felt_films.film_rows([], [film("film", SOUNDS, 0)], series))
-    assert {row.column for row in rows} == {"sound"}
-    assert len(series["film, sound"]) == 1_060
+    assert ({row.column for row in rows}, len(series["film, sound"])) == ({"sound"}, 1_060)
     rows = list(felt_films.over_music_rows([], impacts_over_music(SOUNDS, 1)))
     assert [row.column for row in rows] == ["sound"]
     assert (rows[0].value or 0.0) > 80.0

@@ -75,8 +75,7 @@ def test_the_third_harmonic_of_a_low_tone_is_gone():
 def against_undamped(level, flat, detuning=0.0):
     """A damped burst at a share of Xmax against an undamped one."""
     burst = large_burst_response(PAPER, CHOSEN, level * X_MAX, flat=flat, detuning=detuning)
-    reference = undamped_large(PAPER, level * X_MAX, detuning=detuning)
-    return burst.response.against(reference.response)
+    return burst.response.against(undamped_large(PAPER, level * X_MAX, detuning=detuning).response)
 
 
 # At Xmax damping alone does not hold: -10.5 dB.

@@ -31,14 +31,12 @@ from tools.records import PROJECT_ROOT
 
 LIST = choices((PROJECT_ROOT / "tools/bench/sounds/real_sounds.txt").read_text("utf-8"))
 
-
 UNCHANGED = Method("unchanged", lambda sound, _rate: sound, limited=True)
 """A method whose vibration is its sound."""
 
 
 def sounds(*kinds):
-    rng = np.random.default_rng(3)
-    decay = np.exp(-np.arange(SAMPLERATE // 2) / 2_000.0)
+    rng, decay = np.random.default_rng(3), np.exp(-np.arange(SAMPLERATE // 2) / 2_000.0)
     made = {kind: 0.3 * decay * rng.standard_normal(decay.size) for kind in kinds}
     return [RealSound(f"{kind}/made", kind, sound) for kind, sound in made.items()]
 
@@ -143,8 +141,7 @@ def test_every_profile_has_every_row_and_only_paper_no_limit():
 
 
 def test_only_the_profile_for_speech_is_asked_the_limits_of_speech():
-    made = sounds("speech", "music")
-    asked = Method("speech", UNCHANGED.render, limited=True)
+    made, asked = sounds("speech", "music"), Method("speech", UNCHANGED.render, limited=True)
     for method, wanted in ((asked, True), (UNCHANGED, False)):
         rows = list(felt_speech.speech_rows([method], made))
         assert len(rows) == 3
@@ -152,8 +149,7 @@ def test_only_the_profile_for_speech_is_asked_the_limits_of_speech():
 
 
 def test_soft_words_are_every_third_word_and_20_db_softer():
-    words = [np.ones(4_800) for _ in range(6)]
-    played, places = felt_speech.softened(words)
+    played, places = felt_speech.softened([np.ones(4_800) for _ in range(6)])
     assert [(place.start, place.stop) for place in places] == [(200, 300), (500, 600)]
     assert played[9_600:14_400] == pytest.approx(0.1)
     assert played.sum() == pytest.approx(4.2 * 4_800)
@@ -168,8 +164,7 @@ def test_a_function_is_measured_as_any_method_and_a_wrong_name_is_refused():
 def test_other_methods_have_no_latency_and_the_null_model_no_change():
     onset = np.concatenate((np.zeros(SAMPLERATE), tone(150.0, 0.5, 1.0)))
     for method in other_methods():
-        vibration = method.vibration(onset)
-        assert vibration.size == onset.size
+        assert method.vibration(onset).size == onset.size
         assert not method.limited
     constant = other_methods()[0].vibration(onset)
     assert constant[:4_800] == pytest.approx(constant[48_000:52_800], abs=1e-9)
@@ -188,8 +183,7 @@ def test_without_sounds_command_and_section_name_what_fetches_them(monkeypatch, 
     assert films.main([]) == 2
     assert SOUNDS_COMMAND in capsys.readouterr().err
     found = section.on_real_sounds(a_bench())
-    assert found.rows == ()
-    assert [gone.command for gone in found.missing] == [SOUNDS_COMMAND]
+    assert (found.rows, [gone.command for gone in found.missing]) == ((), [SOUNDS_COMMAND])
 
 
 def test_the_picture_is_drawn_from_the_sections_series():

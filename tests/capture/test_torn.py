@@ -63,8 +63,7 @@ def read(folder, stream):
     capture = Capture(folder)
     buffers = list(capture.buffers(stream)) if stream in capture.streams else []
     found = [(buffer.time_s, buffer.samplerate, buffer.frames.tobytes()) for buffer in buffers]
-    marked = [buffer.time_s for buffer in buffers if buffer.discontinuity]
-    return found, marked, capture.warnings
+    return found, [buffer.time_s for buffer in buffers if buffer.discontinuity], capture.warnings
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +80,6 @@ def small(tmp_path_factory):
 
 @pytest.fixture
 def damaged(small, tmp_path):
-    """A copy of `small` to be damaged."""
     return Path(shutil.copytree(small, tmp_path / "damaged"))
 
 
@@ -114,8 +112,7 @@ def test_a_file_cut_anywhere_gives_the_buffers_that_are_whole(damaged, name):
         assert recovered in warnings[-1]
         # Only the first buffer after a gap is a discontinuity.
         before = dict(zip(mine[1:], mine, strict=False))
-        after_gap = [n for n in mine if n in whole and before.get(n, n) not in [*whole, n]]
-        assert marked == after_gap
+        assert marked == [n for n in mine if n in whole and before.get(n, n) not in [*whole, n]]
 
 
 @given(st.data())
@@ -130,8 +127,7 @@ def test_index_and_segments_cut_together_give_a_sound_beginning(small, tmp_path_
     for stream in STREAMS:
         found, _, warnings = read(folder, stream)
         kept = [int(time_s) for time_s, *_ in found]
-        assert found == expected(kept, stream)
-        assert kept == sorted(set(kept))
+        assert (found, kept) == (expected(kept, stream), sorted(set(kept)))
         assert any("was cut off" in text for text in warnings)
 
 
@@ -336,8 +332,7 @@ def test_a_line_that_no_recorder_writes_is_damaged(record: Any, name: str, value
 
 def test_a_damaged_first_line_costs_no_buffer(damaged):
     index = damaged / INDEX_NAME
-    content = index.read_bytes()
-    index.write_bytes(b"?" + content[1:])
+    index.write_bytes(b"?" + index.read_bytes()[1:])
     for stream in STREAMS:
         found, _, warnings = read(damaged, stream)
         assert found == expected(EVERYTHING, stream)
@@ -352,8 +347,7 @@ def test_changed_samples_are_not_given_as_those_recorded(damaged):
         changed = None
         if offset >= SAMPLES_OFFSET:
             changed = 0 if offset < SAMPLES_OFFSET + 24 else 3
-        kept = [number for number in EVERYTHING if number != changed]
-        assert found == expected(kept, "tap")
+        assert found == expected([number for number in EVERYTHING if number != changed], "tap")
         assert marked == {None: [], 0: [2.0], 3: [5.0]}[changed]
         assert len(warnings) == (1 if changed is None else 2)
 
@@ -412,8 +406,7 @@ def test_without_an_index_a_torn_last_segment_ends_with_its_last_whole_buffer(da
     with (damaged / "tap-0002.wav").open("ab") as file:
         file.write(bytes(11))  # a piece of a buffer: two frames and a bit
     (damaged / "tap-0003.wav").write_bytes(b"RIFF")  # and a segment that had hardly begun
-    shapes = [buffer.frames.shape for buffer in Capture(damaged).buffers()]
-    assert shapes == [(5, 2), (5, 1)]
+    assert [buffer.frames.shape for buffer in Capture(damaged).buffers()] == [(5, 2), (5, 1)]
 
 
 def test_without_an_index_a_missing_segment_is_refused_as_ambiguous(damaged):

@@ -14,8 +14,6 @@ from tests.support.commands import (
     call,
     cushion,
     document,
-    held_back,
-    listing,
     noise,
     sound,
     start,
@@ -28,8 +26,7 @@ from tests.support.signals import FORMS
 def captured(folder, tap, *options):
     """A capture that works and has nothing to warn of; returns what it says."""
     done = call("capture", folder, "--tap", tap, *options)
-    assert (done.code, done.stderr) == (0, "")
-    assert done.stdout.count("\n") == 1
+    assert (done.code, done.stderr, done.stdout.count("\n")) == (0, "", 1)
     return done.stdout
 
 
@@ -43,13 +40,6 @@ def written(folder, *buffers):
             frames = np.asarray(frames, np.float32)
             writer.write_buffer("tap", frames, samplerate, number * 0.01, discontinuity=missing)
     return folder
-
-
-def uneven(frames, seed=0):
-    """Frames in buffers of random lengths, none and long ones among them."""
-    lengths = np.random.default_rng(seed).choice([0, 1, 37, 256, 480, 2_000], len(frames) // 300)
-    ends = np.minimum(np.cumsum([0, *lengths]), len(frames))
-    return [frames[a:b] for a, b in zip(ends, [*ends[1:], len(frames)], strict=True)]
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -86,7 +76,9 @@ def test_processes_of_their_own_do_the_same_and_the_acceleration_too(tmp_path):
 @pytest.mark.parametrize("form", FORMS)
 def test_buffers_of_any_length_are_captured_again_and_replayed_as_they_are(tmp_path, form):
     frames = noise(15_000, 2).astype(np.float32)
-    buffers = [(part, RATE, number == 3) for number, part in enumerate(uneven(frames))]
+    lengths = np.random.default_rng(0).choice([0, 1, 37, 256, 480, 2_000], 50)
+    parts = np.split(frames, np.minimum(np.cumsum(lengths), len(frames)))
+    buffers = [(part, RATE, number == 3) for number, part in enumerate(parts)]
     written(tmp_path / "one", *buffers)
     captured(tmp_path / "two", f"capture:{tmp_path / 'one'}")
     one, two = (
@@ -133,10 +125,8 @@ def test_changes_of_format_and_discontinuities_are_replayed_and_counted(tmp_path
     )
     report = replayed(tmp_path / "cap", tmp_path / "out.wav")
     found = [report[name] for name in ("buffers", "format_changes", "discontinuities")]
-    assert found == [14, 2, 2]
-    assert (report["samplerate"], report["channels"]) == (RATE, 1)
-    info = soundfile.info(tmp_path / "out.wav")
-    assert info.frames == report["frames"] == 2 * 4_800 + 960
+    assert (found, report["samplerate"], report["channels"]) == ([14, 2, 2], RATE, 1)
+    assert soundfile.info(tmp_path / "out.wav").frames == report["frames"] == 2 * 4_800 + 960
     # Up to the change it is what the first format alone gives.
     source = sound(tmp_path / "in.wav", np.concatenate((stereo, np.zeros((9_600, 2)))))
     assert call("render", source, tmp_path / "first.wav").code == 0
@@ -184,21 +174,4 @@ def test_an_interrupted_capture_is_finished_and_replays_without_warning(tmp_path
         process.send_signal(number)
         stdout, stderr = process.communicate(timeout=10)
     assert (process.returncode, stdout, stderr) == (130, "", "cushion: interrupted\n")
-    report = replayed(folder, tmp_path / "out.wav")
-    assert report["buffers"] == buffers_there(folder)
-
-
-@pytest.mark.exhaustive
-def test_an_interrupted_replay_leaves_nothing(tmp_path):
-    frames = noise(RATE, 2)
-    written(tmp_path / "cap", *[(part, RATE, False) for part in np.split(frames, 100)])
-    before = listing(tmp_path)
-    with start("replay", tmp_path / "cap", tmp_path / "out.wav", "--speed", "1") as process:
-        reads = tmp_path / "cap"  # until it has a segment open there, and a file that it writes
-        until(
-            lambda: len(held_back(process, tmp_path)) > len(held_back(process, reads)) > 0, process
-        )
-        process.send_signal(signal.SIGINT)
-        stdout, stderr = process.communicate(timeout=10)
-    assert (process.returncode, stdout, stderr) == (130, "", "cushion: interrupted\n")
-    assert listing(tmp_path) == before
+    assert replayed(folder, tmp_path / "out.wav")["buffers"] == buffers_there(folder)

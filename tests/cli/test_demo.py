@@ -66,8 +66,7 @@ def demo(tmp_path_factory):
 def test_the_demo_writes_the_sound_the_vibration_the_acceleration_and_a_report(demo):
     pytest.importorskip("matplotlib", reason="pip install matplotlib")
     done, out = demo
-    assert done.stderr == ""
-    assert listing(out).keys() == SOUNDS | {"report.png"}
+    assert (done.stderr, {*listing(out)}) == ("", SOUNDS | {"report.png"})
     for name, channels in [("scene", 2), ("vibration", 1), ("acceleration", 1)]:
         info = soundfile.info(out / f"{name}.wav")
         assert (info.format, info.subtype, info.samplerate) == ("WAV", "FLOAT", RATE)
@@ -77,19 +76,13 @@ def test_the_demo_writes_the_sound_the_vibration_the_acceleration_and_a_report(d
     assert (out / "report.png").read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
 
 
-def described(picture):
-    """The text chunk that a PNG carries beside its pixels."""
-    from PIL import Image
-
-    with Image.open(picture) as image:
-        return image.info["Description"]
-
-
 @pytest.mark.exhaustive
 def test_the_picture_in_the_readme_is_of_the_demo_as_it_is_now(demo):
     pytest.importorskip("matplotlib", reason="pip install matplotlib")
-    _, out = demo
-    now, shown = (described(folder / "report.png") for folder in (out, IMAGES))
+    from PIL import Image
+
+    with Image.open(demo[1] / "report.png") as picture, Image.open(IMAGES / "report.png") as kept:
+        now, shown = picture.info["Description"], kept.info["Description"]
     for name in ("latency of the transform", "vibration, peak", "acceleration, peak"):
         assert f"{name}: " in now
     # The last digit may be another where another processor rounds otherwise.
@@ -102,12 +95,10 @@ def test_the_picture_in_the_readme_is_of_the_demo_as_it_is_now(demo):
 def test_the_demo_goes_the_way_that_rendering_its_sound_goes(demo, tmp_path):
     _, out = demo
     assert np.array_equal(vibration(out / "scene.wav"), mixdown(demo_scene()))
-    felt = tmp_path / "acceleration.wav"
-    config = tmp_path / "config.toml"
+    felt, config = tmp_path / "acceleration.wav", tmp_path / "config.toml"
     config.write_text('[transform]\nstrength = "rig"\n')
     options = ("--profile", LIVE_DEFAULT, "--config", config, "--acceleration", felt)
-    done = call("render", out / "scene.wav", tmp_path / "vibration.wav", *options)
-    assert done.code == 0
+    assert call("render", out / "scene.wav", tmp_path / "vibration.wav", *options).code == 0
     assert (tmp_path / "vibration.wav").read_bytes() == (out / "vibration.wav").read_bytes()
     assert felt.read_bytes() == (out / "acceleration.wav").read_bytes()
 
@@ -131,9 +122,7 @@ def test_the_closing_table_says_what_is_in_the_files(tmp_path):
     for name in SOUNDS:
         assert f"out/{name}" in done.stdout
     for words in (
-        "samples limited",
-        "unusable samples in the sound",
-        "time taken for 5.33 ms of sound",
+        *("samples limited", "unusable samples in the sound", "time taken for 5.33 ms of sound"),
         "report.png: all of it as a picture",
     ):
         assert words in done.stdout
@@ -142,14 +131,11 @@ def test_the_closing_table_says_what_is_in_the_files(tmp_path):
 
 @pytest.mark.exhaustive
 def test_the_meter_is_drawn_on_a_terminal_and_leaves_stdout_to_the_table(tmp_path):
-    options = ["demo", "--fast", "--out", tmp_path]
-    prelude = WITHOUT_MATPLOTLIB + ONE_SECOND
-    unwatched = cushion(*options, prelude=prelude)
-    assert "220 Hz" not in unwatched.stderr
+    options, prelude = ["demo", "--fast", "--out", tmp_path], WITHOUT_MATPLOTLIB + ONE_SECOND
+    assert "220 Hz" not in cushion(*options, prelude=prelude).stderr
     files = listing(tmp_path)
     done, drawn = on_a_terminal(*options, prelude=prelude, streams=("stderr",))
-    assert done.code == 0
-    assert listing(tmp_path) == files
+    assert (done.code, listing(tmp_path)) == (0, files)
     assert 10 <= drawn.count("220 Hz") <= 20  # 15 redraws a second of scene
     for label in ("sound", "vibration", "cushion", "engine", "0.9 of 1 s"):
         assert label in drawn
@@ -160,12 +146,9 @@ def test_the_meter_is_drawn_on_a_terminal_and_leaves_stdout_to_the_table(tmp_pat
     assert "\x1b" not in done.stdout
 
 
-@pytest.mark.parametrize(
-    ("peak", "text"),
-    [(1.0, "0.0 dBFS"), (0.9999, "0.0 dBFS"), (0.5, "-6.0 dBFS"), (0.0, "silence")],
-)
-def test_a_level_has_no_minus_before_zero_and_silence_is_a_word(peak, text):
-    assert level_text(peak) == text
+def test_a_level_has_no_minus_before_zero_and_silence_is_a_word():
+    found = [level_text(peak) for peak in (1.0, 0.9999, 0.5, 0.0)]
+    assert found == ["0.0 dBFS", "0.0 dBFS", "-6.0 dBFS", "silence"]
 
 
 def test_the_meter_says_silence_and_names_every_row(monkeypatch):
@@ -179,9 +162,7 @@ def test_the_meter_says_silence_and_names_every_row(monkeypatch):
     sounds = [line for line in drawn.splitlines() if "sound" in line]
     assert sounds
     assert all(line.rstrip().endswith("silence") for line in sounds)
-    assert "-6.0 dBFS" in drawn
-    assert "felt at 20 Hz" in drawn
-    assert "m/s²" in drawn
+    assert all(words in drawn for words in ("-6.0 dBFS", "felt at 20 Hz", "m/s²")), drawn
 
 
 def fast_demo(folder, *, monkeypatch):
@@ -214,8 +195,7 @@ def test_the_demo_writes_over_what_an_earlier_one_left_and_nothing_else(tmp_path
         (tmp_path / name).write_bytes(b"old")
     assert fast_demo(tmp_path, monkeypatch=monkeypatch).code == 0
     files = listing(tmp_path)
-    assert files.keys() == SOUNDS | {"mine.txt"}
-    assert files["mine.txt"] == b"old"
+    assert ({*files}, files["mine.txt"]) == (SOUNDS | {"mine.txt"}, b"old")
     assert all(files[name].startswith(b"RIFF") for name in SOUNDS)
 
 

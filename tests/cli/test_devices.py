@@ -45,9 +45,7 @@ def test_what_plays_is_applications_alone() -> None:
     assert [application["name"] for application in found["applications"]] == ["mpv"]
 
 
-def test_rates_of_each_setting_are_those_that_the_driver_offers_of_this_device(
-    device: UsbAudioDevice, tmp_path: Path
-) -> None:
+def test_rates_of_each_setting_are_those_that_the_driver_offers_of_this_device(device, tmp_path):
     cards = Cards(tmp_path / "asound")
     assert by_setting(device, tmp_path / "asound") == {}
     cards.plug(2, "Other", stream=ADAPTIVE)
@@ -87,8 +85,7 @@ def test_the_driver_tells_what_class_3_leaves_open(device: UsbAudioDevice, cards
     assert decoded["channels"] == 2
     assert decoded["samplerates"] == [44_100, 48_000, 88_200, 96_000, 176_400, 192_000]
     assert [(each["alternate"], each["audio_class"]) for each in listed] == [(7, 3), (3, 3)]
-    assert listed[0]["encodings"] == ["S16_LE"]
-    assert listed[1]["encodings"] == ["DSD"]
+    assert (listed[0]["encodings"], listed[1]["encodings"]) == (["S16_LE"], ["DSD"])
     (alone,) = formats_of(configuration)
     assert (alone["channels"], alone["samplerates"]) == (0, None)
 

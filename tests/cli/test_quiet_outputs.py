@@ -24,9 +24,7 @@ def snapshot(sink: Sink, default: str = "speakers") -> ServerSnapshot:
     ("sink", "weakened"),
     [(DAC, ""), (replace(DAC, volume_db=4.0), ""), (DOWN, "volume 30 %"), (MUTED, "muted")],
 )
-def test_devices_lists_what_makes_an_output_weak(
-    sink: Sink, weakened: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_devices_lists_what_makes_an_output_weak(sink, weakened, capsys):
     assert sink.weakened == weakened
     devices._show(devices._server(snapshot(sink)) | {"usb": [], "cards": []})
     line = capsys.readouterr().out.splitlines()[2].strip()

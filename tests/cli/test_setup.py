@@ -37,7 +37,6 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def path(home: Path) -> Path:
-    """Where the user's config is, once it is written."""
     (home / "config/cushion").mkdir(parents=True)
     return home / "config/cushion/config.toml"
 
@@ -131,8 +130,7 @@ def test_a_new_config_holds_every_top_level_key_and_says_what_was_chosen(device:
 @pytest.mark.parametrize("profile", ["cinema", "game"])
 def test_another_choice_ends_what_was_written_to_leave_out_speech(home: Path, profile: str) -> None:
     path = home / "config.toml"
-    first = {"device": "sink:haptic", **_profile_values(SPEECH_FREE)}
-    text = _new_text(path, None, first, ())
+    text = _new_text(path, None, {"device": "sink:haptic", **_profile_values(SPEECH_FREE)}, ())
     text = _new_text(path, text, _profile_values(profile, text), ())
     found, _ = check_text(text, home, LIVE_DEFAULT)
     assert found is not None
@@ -146,8 +144,7 @@ def test_undo_gives_back_each_earlier_state_and_keeps_later_edits(home: Path, pa
     unit = home / "config/systemd/user/cushion.service"
     mine = b"\xef\xbb\xbf# mine\r\n"
     path.write_bytes(mine)
-    before = setup_files.text_of(path)
-    setup_files.write(path, before, "gain_db = -1.0\n", with_service=True)
+    setup_files.write(path, setup_files.text_of(path), "gain_db = -1.0\n", with_service=True)
     assert unit.exists()
     setup_files.write(path, "gain_db = -1.0\n", "gain_db = -2.0\n", with_service=False)
     path.write_text("gain_db = -3.0\n")
@@ -163,15 +160,11 @@ def test_undo_gives_back_each_earlier_state_and_keeps_later_edits(home: Path, pa
     assert sorted(path.parent.iterdir()) == [path, undone]
 
 
-def test_a_config_that_changed_during_the_questions_is_left_alone(path: Path) -> None:
+def test_a_config_that_changed_or_whose_backup_is_gone_is_left_alone(path: Path) -> None:
     path.write_text("gain_db = -1.0\n")
     with pytest.raises(UsageError, match="changed during the setup"):
         setup_files.write(path, None, "gain_db = -2.0\n", with_service=False)
     assert path.read_text() == "gain_db = -1.0\n"
-
-
-def test_a_backup_that_is_gone_leaves_the_config_alone(path: Path) -> None:
-    path.write_text("gain_db = -1.0\n")
     backup = setup_files.write(path, "gain_db = -1.0\n", "gain_db = -2.0\n", with_service=False)
     Path(backup).unlink()
     with pytest.raises(UsageError, match="is not changed"):
@@ -181,9 +174,7 @@ def test_a_backup_that_is_gone_leaves_the_config_alone(path: Path) -> None:
 
 @pytest.mark.parametrize("obstacle", ["config/systemd", "state/cushion"])
 @pytest.mark.parametrize("mine", [None, "gain_db = -1.0  # mine\n"])
-def test_a_setup_that_fails_half_way_leaves_everything_as_it_was(
-    home: Path, path: Path, obstacle: str, mine: str | None
-) -> None:
+def test_a_setup_that_fails_half_way_leaves_everything_as_it_was(home, path, obstacle, mine):
     if mine is not None:
         path.write_text(mine)
     (home / obstacle).parent.mkdir(exist_ok=True)
@@ -215,8 +206,7 @@ def test_damaged_records_are_reported_before_anything_is_written(home: Path, pat
     (home / "state/cushion/setup-undo.json").write_text("[[")
     with pytest.raises(UsageError, match="move it away"):
         setup_files.write(path, "gain_db = -1.0\n", "gain_db = -2.0\n", with_service=True)
-    assert list(path.parent.iterdir()) == [path]
-    assert path.read_text() == "gain_db = -1.0\n"
+    assert (list(path.parent.iterdir()), path.read_text()) == ([path], "gain_db = -1.0\n")
 
 
 def test_a_tone_fades_in_without_a_step_and_ends_by_itself() -> None:

@@ -50,19 +50,16 @@ def test_a_simulated_person_of_no_sense_is_refused_with_what_is_allowed(value):
     assert "allowed: MS -100 to 500, SCATTER_MS 1 to 100" in said
 
 
-def test_a_negative_seed_is_refused():
+def test_a_negative_seed_and_answers_that_leave_the_delay_open_are_refused():
     assert "seed=-1" in refused(call("sync", "--simulate", 100, "--seed", "-1"))
-
-
-def test_answers_that_leave_the_delay_open_are_an_error_with_the_remedy():
     said = refused(call("sync", "--simulate", 500, "--seed", 1, "--json"))
     assert "nothing was stored" in said
     assert "run `cushion sync` again" in said
 
 
-@pytest.mark.parametrize("options", [[], ["--json"]])
-def test_without_a_terminal_it_asks_nothing(options):
-    assert "not a terminal" in refused(call("sync", *options))
+def test_without_a_terminal_it_asks_nothing():
+    for options in ((), ("--json",)):
+        assert "not a terminal" in refused(call("sync", *options))
 
 
 def test_without_a_daemon_it_says_how_to_start_one(tmp_path):

@@ -19,14 +19,12 @@ CODE: list[Cell] = [cell for cell in NOTEBOOK["cells"] if cell["cell_type"] == "
 
 
 def printed(cell: Cell) -> str:
-    """Return the text that a cell printed when it was run in Jupyter."""
     streams = [one for one in cell["outputs"] if one["output_type"] == "stream"]
     assert {one["name"] for one in streams} <= {"stdout"}
     return "".join("".join(one["text"]) for one in streams)
 
 
 def pictures(cell: Cell) -> list[bytes]:
-    """Return the PNG files that a cell shows."""
     shown = [one["data"] for one in cell["outputs"] if one["output_type"] == "display_data"]
     return [base64.b64decode("".join(data["image/png"])) for data in shown]
 
@@ -63,17 +61,12 @@ def test_each_cell_prints_what_it_printed_and_draws_where_it_drew(tmp_path: Path
         parts.append("plt.close('all')")
     program = tmp_path / "cells.py"
     program.write_text("\n".join(parts))
-    ran = subprocess.run(
-        [sys.executable, "-W", "error", program.name],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        env=os.environ | {"MPLBACKEND": "agg", "PYTHONPATH": str(ROOT)},
-    )
+    command, env = [sys.executable, "-W", "error", program.name], os.environ | {"MPLBACKEND": "agg"}
+    env["PYTHONPATH"] = str(ROOT)
+    ran = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=env)
     assert (ran.returncode, ran.stderr) == (0, "")
     found = ran.stdout.split(f" {END_OF_CELL}\n")
-    kept = [f"{printed(cell)}{len(pictures(cell))}" for cell in CODE]
-    assert found == [*kept, ""]
+    assert found == [*[f"{printed(cell)}{len(pictures(cell))}" for cell in CODE], ""]
     assert [path.name for path in tmp_path.iterdir()] == ["cells.py"], "it writes no file"
 
 

@@ -4,7 +4,6 @@ import os
 import re
 import shlex
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -35,12 +34,10 @@ USAGE = re.compile(r"\[options\]|^cushion (COMMAND|NAME)")  # a line that shows 
 
 
 def text_of(page: str) -> str:
-    """Return the text of a page."""
     return (ROOT / page).read_text()
 
 
 def block(language: str, page: str) -> str:
-    """Return the first block of a language on a page."""
     found = re.search(rf"```{language}\n(.*?)```", text_of(page), re.DOTALL)
     assert found, f"{page} has no {language} block"
     return found[1]
@@ -68,8 +65,7 @@ def test_the_generated_parts_are_those_of_the_schema_the_parser_and_the_code() -
 
 
 def test_the_example_of_several_actuators_is_valid_and_names_every_key(tmp_path: Path) -> None:
-    example = block("toml", ACTUATORS)
-    path = tmp_path / "config.toml"
+    example, path = block("toml", ACTUATORS), tmp_path / "config.toml"
     path.write_text(example)
     done, problems = config.check(path)
     assert problems == []
@@ -93,9 +89,7 @@ def test_every_parameter_stands_in_the_config_example_with_default_limits_and_ch
 
 
 @pytest.mark.exhaustive
-def test_the_effect_of_one_s_own_runs_before_the_haptic_effect_and_halves_it(
-    tmp_path: Path, site: Callable[..., None]
-) -> None:
+def test_the_effect_of_one_s_own_runs_before_the_haptic_effect_and_halves_it(tmp_path, site):
     lines = []
     for group, entries in tomllib.loads(block("toml", EFFECTS))["project"]["entry-points"].items():
         lines += [f"[{group}]", *(f"{name} = {value}" for name, value in entries.items())]
@@ -121,8 +115,7 @@ def test_the_effect_of_one_s_own_runs_before_the_haptic_effect_and_halves_it(
 
 
 def test_the_command_table_names_exactly_the_commands_that_exist() -> None:
-    page = text_of("docs/commands.md")
-    named = re.findall(r"^\| \[`cushion ([\w-]+)`\]", page, re.MULTILINE)
+    named = re.findall(r"^\| \[`cushion ([\w-]+)`\]", text_of("docs/commands.md"), re.MULTILINE)
     found = re.findall(r"^    ([\w-]+)(?: |$)", build_parser().format_help(), re.MULTILINE)
     assert set(named) == set(found)
 

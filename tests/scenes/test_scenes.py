@@ -33,8 +33,7 @@ def test_the_demo_scene_is_15_loud_seconds_of_stereo_with_a_second_of_exact_sile
     assert (scene.name, scene.samplerate, scene.duration_s) == ("demo", 48_000, 15.0)
     assert (mix.shape, mix.dtype) == ((15 * 48_000, 2), np.float32)
     assert -3.0 <= 20.0 * np.log10(np.max(np.abs(mix))) <= -1.0  # of full scale, and finite
-    sounding = np.flatnonzero(mix.any(axis=1))
-    assert 0.9 <= np.diff(sounding).max() / SAMPLERATE <= 1.5
+    assert 0.9 <= np.diff(np.flatnonzero(mix.any(axis=1))).max() / SAMPLERATE <= 1.5
 
 
 @pytest.mark.sweep
@@ -73,8 +72,7 @@ def test_the_engine_moves_from_the_left_to_the_right(scene):
 
 
 def test_the_footsteps_fall_left_and_right_in_turn(scene):
-    steps = track_named(scene, "footsteps")
-    starts_s = [0.42 * step for step in range(6)]
+    steps, starts_s = track_named(scene, "footsteps"), [0.42 * step for step in range(6)]
     sides = [rms_between(steps.frames, at_s, at_s + 0.2, steps.samplerate) for at_s in starts_s]
     assert [left > right for left, right in sides] == [True, False] * 3
 
@@ -82,8 +80,7 @@ def test_the_footsteps_fall_left_and_right_in_turn(scene):
 def test_the_explosion_is_the_loudest_second_of_the_scene(scene, mix):
     seconds = [np.max(rms_between(mix, start_s, start_s + 1.0)) for start_s in range(15)]
     assert 9 <= int(np.argmax(seconds)) <= 10
-    loudest = max(scene.tracks, key=lambda track: track.frames.max())
-    assert loudest.name == "explosion"
+    assert max(scene.tracks, key=lambda track: track.frames.max()).name == "explosion"
 
 
 def test_the_events_are_the_sounding_stretches_of_all_tracks_in_order_of_time(scene):

@@ -122,7 +122,9 @@ def in_blocks(
     parts = []
     first = 0
     for frames in blocks:
-        parts.append(transform.process(sound[first : first + frames]))
+        block = sound[first : first + frames]
+        parts.append(transform.process(block))
+        assert len(parts[-1]) == len(block)
         first = min(first + frames, len(sound))
     parts += [transform.process(sound[first:]), transform.finish()]
     return np.concatenate(parts)

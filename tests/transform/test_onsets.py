@@ -30,7 +30,6 @@ def felt(sound, rate=RATE, onsets=True):
 
 
 def level(vibration, at_s, until_s):
-    """Return the mean of the envelope from one time to another."""
     strength, rate = thinned(vibration, RATE)
     return float(envelope(strength, rate)[round(at_s * rate) : round(until_s * rate)].mean())
 
@@ -41,8 +40,7 @@ def level(vibration, at_s, until_s):
 def test_a_burst_out_of_a_faint_noise_is_felt_within_12_ms(audio_hz, onset_s, amplitude):
     # With noise before it the burst begins anywhere in a tick: up to 2 ms later than from silence.
     sound = burst(audio_hz, onset_s, 0.7, RATE, amplitude) + white_noise(0.7, RATE, 2e-4)
-    lag_s = onset_lag_s(felt(sound), RATE, onset_s)
-    assert 0.003 < lag_s < 0.012
+    assert 0.003 < onset_lag_s(felt(sound), RATE, onset_s) < 0.012
     # The window alone is far later, so that the above can fail.
     assert onset_lag_s(felt(sound, onsets=False), RATE, onset_s) > 0.025
 
@@ -59,8 +57,7 @@ def test_the_window_takes_over_without_a_dip_or_a_doubling(audio_hz):
 
 def test_a_chord_s_attack_ends_when_the_window_shows_its_tones():
     # Three tones that a window of 5 ms cannot tell from one, which the law makes 3 times weaker.
-    time = times(0.5, RATE)
-    over_db = []
+    time, over_db = times(0.5, RATE), []
     for seed in range(8):
         random = np.random.default_rng(seed)
         root_hz, turns = random.uniform(100.0, 300.0), random.random(3)

@@ -49,16 +49,9 @@ def disagreement(sound, samplerate, parameters=PARAMETERS):
     """Return the largest difference from the oracle in each unit, (units,)."""
     ours = played(sound, samplerate, form="reference", parameters=parameters)
     unit = parameters.window_frames(samplerate)
-    theirs = oracle_vibration(
-        sound,
-        samplerate,
-        window_s=parameters.window_s,
-        band_low_hz=parameters.band_low_hz,
-        band_high_hz=parameters.band_high_hz,
-        vibration_top_hz=parameters.vibration_top_hz,
-        threshold=parameters.threshold_hz,
-        partials_max=parameters.partials_max,
-    )
+    names = ("window_s", "band_low_hz", "band_high_hz", "vibration_top_hz", "partials_max")
+    values = {name: getattr(parameters, name) for name in names}
+    theirs = oracle_vibration(sound, samplerate, threshold=parameters.threshold_hz, **values)
     apart = np.abs(ours[unit:, 0] - theirs)
     return np.maximum.reduceat(apart, np.arange(0, apart.size, unit))
 
@@ -155,30 +148,11 @@ def test_a_unit_has_as_many_frames_as_the_paper_says(samplerate, frames):
     assert HapticTransform(samplerate, form="reference").latency_frames == frames
 
 
-@pytest.mark.parametrize("hz", [150.0, 440.0, 1_000.0, 4_000.0, 9_000.0])
-def test_a_steady_full_scale_tone_comes_out_near_full_scale(hz):
-    vibration = played(tone(hz, 1.0, 48_000), 48_000, form="reference")[10_000:40_000, 0]
-    # 1.30 bins is the window's half-power width to 2 %; from 9 kHz up the band-pass takes 1 dB,
-    # and side lobes that count as principal take a few per cent from the tone's own weight.
-    assert 0.85 < np.abs(vibration).max() < 1.06
-
-
 def test_it_is_not_limited():
     sound = tone(1_000, 0.5, 48_000, 3.0)
     transform = made(sound, 48_000, form="reference")
-    vibration = transform.process(sound)
-    assert np.abs(vibration).max() > 2.5
+    assert np.abs(transform.process(sound)).max() > 2.5
     assert transform.limited_samples == 0
-
-
-def test_units_without_a_principal_frequency_are_exact_zeros():
-    unit = PARAMETERS.window_frames(48_000)
-    sound = joined(tone(500, 0.2, 48_000), silence(0.5, 48_000))
-    vibration = played(sound, 48_000, form="reference")[unit:, 0]
-    # Two units after the tone the filter's ringing is under the threshold as well.
-    first = (round(0.2 * 48_000) // unit + 3) * unit
-    assert not vibration[first:].any()
-    assert vibration[:first].any()
 
 
 @pytest.mark.parametrize("units", [0, 1, 2.5, 4])
@@ -186,9 +160,7 @@ def test_the_vibration_is_as_long_as_the_sound_and_stands_at_its_own_time(units)
     unit = PARAMETERS.window_frames(44_100)
     sound = tone(800, 1.0, 44_100)[: round(units * unit)]
     transform = made(sound, 44_100, form="reference")
-    during = transform.process(sound)
-    after = transform.finish()
-    assert during.shape == (sound.size, 1)
-    assert after.shape == (unit, 1)
+    during, after = transform.process(sound), transform.finish()
+    assert (during.shape, after.shape) == ((sound.size, 1), (unit, 1))
     shifted = np.concatenate((during, after))[unit:, 0]
     np.testing.assert_allclose(shifted, oracle_vibration(sound, 44_100), rtol=0, atol=AGREEMENT)

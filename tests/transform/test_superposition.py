@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from audioflinger_hook.transform import HapticTransform, TransformParameters
+from audioflinger_hook.transform import HapticTransform
 from audioflinger_hook.transform.reference import Superposition
 from tests.support.signals import (
     chirp,
@@ -67,9 +67,7 @@ def test_sums_on_an_edge_of_float32_go_the_way_that_the_equation_goes(monkeypatc
 @pytest.mark.parametrize(
     "sound",
     [
-        white_noise(3.0, RATE),
-        five_tones(3.0, RATE),
-        chirp(20.0, 20_000.0, 3.0, RATE),
+        *(white_noise(3.0, RATE), five_tones(3.0, RATE), chirp(20.0, 20_000.0, 3.0, RATE)),
         silence(0.5, RATE),
     ],
     ids=["noise", "five tones", "chirp", "silence"],
@@ -82,18 +80,7 @@ def test_vibration_wanted_as_float32_is_the_reference_forms(sound, per_channel):
         blocks = [blocksize] * (sound.size // blocksize)
         quick = in_blocks(both, blocks, RATE, single=True, **options)
         assert identical(single(quick), single(exact))
-
-
-def test_it_holds_with_every_partial_there_may_be():
-    parameters = TransformParameters(threshold_hz=0.001, partials_max=64, vibration_top_hz=400.0)
-    sound = white_noise(4.0, 22_050)
-    exact, quick = (
-        HapticTransform(22_050, 1, parameters, form="reference", single=rounded).process(sound)
-        for rounded in (False, True)
-    )
-    assert np.abs(exact).max() > 0.001
-    assert identical(single(exact), single(quick))
-    assert not identical(exact, quick)
+        assert not (exact.any() and identical(quick, exact))
 
 
 def test_unless_float32_is_asked_for_nothing_is_summed_the_quick_way(monkeypatch):
