@@ -22,7 +22,8 @@ from audioflinger_hook.service.status_client import ask_control, ask_status
 from audioflinger_hook.service.sync_trials import (
     CREDIBLE,
     EARLIEST_MS,
-    LONGEST_MS,
+    FOUND_MS,
+    WIDE_MS,
     Answer,
     Estimate,
     SimulatedPerson,
@@ -132,7 +133,7 @@ def run(options: argparse.Namespace) -> int:
             "credible": CREDIBLE,
             "clipped": found.is_clipped,
             "trials": trials.count,
-            "seconds": round(seconds, 1),
+            "duration_s": round(seconds, 1),
         }
         print(json.dumps(shown | report))
     else:
@@ -153,13 +154,18 @@ def _tell(found: Estimate, count: int, heard: str | None) -> None:
 
 
 def _checked(trials: SyncTrials) -> Estimate:
-    """Return the estimate. UsageError: the answers do not agree."""
+    """Return the estimate. UsageError: the answers do not agree, or the delay is too long."""
     found = trials.estimate()
-    if not found.is_usable:
+    if found.width_ms > WIDE_MS:
         raise UsageError(
             f"{trials.count} answers leave the delay between {found.low_ms:.0f} and "
             f"{found.high_ms:.0f} ms, so nothing was stored; run `cushion sync` again, and answer "
             "each click"
+        )
+    if not found.is_usable:
+        raise UsageError(
+            f"the delay is {found.low_ms:.0f} ms or more, and this test finds delays up to "
+            f"{FOUND_MS:g} ms, so nothing was stored; set offset_ms in the config"
         )
     return found
 
@@ -169,9 +175,9 @@ def _simulated(text: str, random: np.random.Generator) -> SimulatedPerson:
     with suppress(ValueError):
         delay, colon, scatter = text.partition(":")
         delay_ms, scatter_ms = float(delay), float(scatter) if colon else 15.0
-        if EARLIEST_MS <= delay_ms <= LONGEST_MS and 1.0 <= scatter_ms <= 100.0:
+        if EARLIEST_MS <= delay_ms <= FOUND_MS and 1.0 <= scatter_ms <= 100.0:
             return SimulatedPerson(delay_ms, scatter_ms, random)
-    allowed = f"MS {EARLIEST_MS:g} to {LONGEST_MS:g}, SCATTER_MS 1 to 100"
+    allowed = f"MS {EARLIEST_MS:g} to {FOUND_MS:g}, SCATTER_MS 1 to 100"
     raise UsageError(f"simulate={text!r} is not MS[:SCATTER_MS]; allowed: {allowed}")
 
 

@@ -21,7 +21,8 @@ from scipy.special import ndtr
 
 from device.units import FloatArray
 
-LONGEST_MS = 500.0  # longest delay that can be found, and largest offset of a trial
+LONGEST_MS = 500.0  # longest delay of the grid, and largest offset of a trial
+FOUND_MS = 480.0  # longest delay that can be found, because its credible interval is on the grid
 EARLIEST_MS = -100.0  # the most by which the sound may come before its vibration
 STEP_MS = 4.0  # step of the grid; the estimate is a mean, so it is finer
 

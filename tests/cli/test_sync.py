@@ -1,7 +1,11 @@
 """`cushion sync` without a sound server: simulated people, refusals, and what it says."""
 
+import re
+from functools import partial
+
 import pytest
 
+from audioflinger_hook.service.sync_trials import SimulatedPerson
 from tests.support.commands import call, document, refused
 from tests.support.terminal import Terminal
 
@@ -12,7 +16,7 @@ def test_the_delay_of_a_simulated_person_is_found_in_a_minute(delay_ms):
     assert found["delay_ms"] == pytest.approx(delay_ms, abs=8.0)
     assert found["low_ms"] <= found["delay_ms"] <= found["high_ms"]
     assert 8 <= found["trials"] <= 45
-    assert found["seconds"] <= 60.0
+    assert found["duration_s"] <= 60.0
     assert found["simulated"] == {"delay_ms": delay_ms, "scatter_ms": 5.0}
     assert (found["stored"], found["heard"], found["clipped"]) == (False, None, False)
 
@@ -42,19 +46,28 @@ def test_a_sound_before_its_vibration_gives_0_and_says_so(option):
 
 
 @pytest.mark.parametrize(
-    "value", ["soon", "", "1:2:3", "100:", "600", "-101", "nan", "9:0", "9:1e9"]
+    "value", ["soon", "", "1:2:3", "100:", "480.1", "-101", "nan", "9:0", "9:1e9"]
 )
 def test_a_simulated_person_of_no_sense_is_refused_with_what_is_allowed(value):
     said = refused(call("sync", f"--simulate={value}"))
     assert repr(value) in said
-    assert "allowed: MS -100 to 500, SCATTER_MS 1 to 100" in said
+    assert "allowed: MS -100 to 480, SCATTER_MS 1 to 100" in said
 
 
-def test_a_negative_seed_and_answers_that_leave_the_delay_open_are_refused():
+def test_a_negative_seed_and_answers_that_leave_the_delay_open_are_refused(monkeypatch):
     assert "seed=-1" in refused(call("sync", "--simulate", 100, "--seed", "-1"))
-    said = refused(call("sync", "--simulate", 500, "--seed", 1, "--json"))
-    assert "nothing was stored" in said
-    assert "run `cushion sync` again" in said
+    guesses = partial(SimulatedPerson, lapses=1.0)
+    monkeypatch.setattr("audioflinger_hook.cli.sync.SimulatedPerson", guesses)
+    said = refused(call("sync", "--simulate", 150, "--seed", 1, "--json"))
+    assert "answers leave the delay between" in said
+    assert "so nothing was stored; run `cushion sync` again" in said
+
+
+def test_a_delay_above_480_ms_is_refused_with_its_reason(monkeypatch):
+    monkeypatch.setattr("audioflinger_hook.cli.sync.FOUND_MS", 600.0)
+    for delay_ms in (495, 600):
+        said = refused(call("sync", "--simulate", f"{delay_ms}:5", "--seed", 1))
+        assert re.search(r"the delay is 4\d\d ms or more, .*; set offset_ms", said)
 
 
 def test_without_a_terminal_it_asks_nothing():
