@@ -41,9 +41,7 @@ class Parser(argparse.ArgumentParser):
             place = given.index("--")
             names = (f"./{name}" if name.startswith("-") else name for name in given[place + 1 :])
             given = [*given[:place], *names]
-        self.any_order = (
-            False  # the parser calls this method again for the options and for the rest
-        )
+        self.any_order = False  # the parser calls this method again, for options and the rest
         try:
             return self.parse_known_intermixed_args(given, namespace)
         finally:

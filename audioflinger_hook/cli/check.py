@@ -15,17 +15,16 @@ from device.errors import UsageError
 def run(options: argparse.Namespace) -> int:
     """Check a config file and the effects file that it names. Exit code 2: there are mistakes."""
     path: Path | None = options.config
-    as_json: bool = options.json
     if options.schema:
         print(json.dumps(json_schema(), indent=2))
         return 0
     if path is None:
         path = config.default_path()
         if not path.exists():
-            print("[]" if as_json else f"{path} does not exist: the defaults apply")
+            print("[]" if options.json else f"{path} does not exist: the defaults apply")
             return 0
     _, warnings, mistakes = find_mistakes(path)
-    if as_json:
+    if options.json:
         print(json.dumps([dataclasses.asdict(mistake) for mistake in mistakes], indent=2))
     elif not (mistakes or warnings):
         print(f"{path}: no mistakes")

@@ -112,10 +112,10 @@ def _take_back(record: Record, earlier: list[Record]) -> tuple[list[str], tuple[
     if record.unit_changed:
         if not record.started:
             autostart.set_on(False)
-            remove_page_entry()
+            done += ["start at login: off", f"{remove_page_entry()}: removed"]
         restored = service.restore(record.unit)
-        what = "removed" if restored.changed and record.unit is None else "as it was before"
-        done.append(f"{restored.path}: {what}")
+        if restored.changed or record.unit is not None:
+            done.append(f"{restored.path}: {'as it was before' if record.unit else 'removed'}")
         commands = restored.commands
     _save(earlier)
     _remove_backup(record)
@@ -130,13 +130,11 @@ def _remove_backup(record: Record) -> None:
 
 def _restore_config(record: Record) -> list[str]:
     path = Path(record.config)
-    before = None
-    if record.backup is not None:
-        try:
-            before = Path(record.backup).read_bytes()
-        except OSError as error:
-            why = f"{record.backup} cannot be read ({error.strerror})"
-            raise UsageError(f"{why}, so {path} is not changed") from error
+    try:
+        before = Path(record.backup).read_bytes() if record.backup else None
+    except OSError as error:
+        why = f"{record.backup} cannot be read ({error.strerror})"
+        raise UsageError(f"{why}, so {path} is not changed") from error
     done = []
     now = None
     try:

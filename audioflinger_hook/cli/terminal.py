@@ -144,8 +144,7 @@ def _read(prompt: str, meanwhile: Callable[[], None] | None = None) -> str:
                 meanwhile()
         return input()
     except EOFError:
-        print()
-        sys.stdout.flush()
+        print(flush=True)
         raise KeyboardInterrupt from None
     except CushionError:
         print(flush=True)

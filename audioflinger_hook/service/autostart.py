@@ -6,9 +6,7 @@ daemon, by an entry in the folder `autostart` of the config home.
 """
 
 import os
-import subprocess
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 
 from audioflinger_hook.service import install
@@ -32,9 +30,8 @@ def is_on(environ: Mapping[str, str] = os.environ) -> bool:
     """
     if install.own_text(_entry(environ), MARK):
         return True
-    if not has_systemd():
-        return False
-    return install.installed_text(environ) is not None and _link(environ).is_symlink()
+    has_unit = has_systemd() and install.installed_text(environ) is not None
+    return has_unit and _link(environ).is_symlink()
 
 
 def set_on(
@@ -55,8 +52,8 @@ def set_on(
         install.install(["--wait"], program, environ, install.systemd_version())
     (_enable if on else remove_file)(_link(environ))
     install.replace_own(_entry(environ), MARK, None)  # so that the daemon does not start twice
-    if has_systemd():
-        _reload(environ)
+    if has_systemd():  # a running user manager reads the units; the next login reads them, too
+        install.printed(*install.RELOAD.split(), environ=environ)
 
 
 def _entry(environ: Mapping[str, str]) -> Path:
@@ -77,16 +74,3 @@ def _enable(link: Path) -> None:
             f"cannot write the link {link}: {error.strerror}; make the folder writable, or type "
             f"`systemctl --user enable {install.NAME}`"
         ) from error
-
-
-def _reload(environ: Mapping[str, str]) -> None:
-    """Let a running user manager read the units. At the next login it reads them in any case."""
-    with suppress(OSError, subprocess.SubprocessError):
-        subprocess.run(
-            install.RELOAD.split(),
-            env=dict(environ),
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=install.SYSTEMCTL_S,
-            check=False,
-        )

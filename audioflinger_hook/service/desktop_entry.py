@@ -80,12 +80,13 @@ def install_page_entry(program: Sequence[str], environ: Mapping[str, str] = os.e
     return entry
 
 
-def remove_page_entry(environ: Mapping[str, str] = os.environ) -> None:
-    """Remove the menu's entry and its icon. UsageError: another program wrote the entry."""
+def remove_page_entry(environ: Mapping[str, str] = os.environ) -> Path:
+    """Remove the menu's entry and its icon; return the entry's path. Errors: see `own_text`."""
     entry, icon = _installed(environ)
     replace_own(entry, MARK, None)
     with suppress(OSError):
         icon.unlink()
+    return entry
 
 
 def _installed(environ: Mapping[str, str]) -> tuple[Path, Path]:

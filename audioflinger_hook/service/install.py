@@ -4,11 +4,12 @@ import os
 import re
 import stat
 import string
-import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from subprocess import DEVNULL, SubprocessError, check_output
 
 from audioflinger_hook.service.one_line import one_line
 from device.atomic_file import make_private_folder, remove_file, write_private
@@ -168,14 +169,18 @@ def own_command(argv0: str = sys.argv[0], python: str = sys.executable) -> tuple
 
 def systemd_version() -> int:
     """Return the version of systemd, or 0 if `systemctl` does not report the version."""
-    try:
-        told = subprocess.run(
-            ["systemctl", "--version"], capture_output=True, timeout=SYSTEMCTL_S, check=True
-        ).stdout
-    except (OSError, subprocess.SubprocessError):
-        return 0
-    found = re.match(rb"systemd (\d{1,6})\b", told)
+    found = re.match(r"systemd (\d{1,6})\b", printed("systemctl", "--version"), re.ASCII)
     return int(found[1]) if found else 0
+
+
+def printed(
+    *command: str, environ: Mapping[str, str] = os.environ, limit_s: float = SYSTEMCTL_S
+) -> str:
+    """Return what a program prints; "" if it is missing, fails or takes over `limit_s`."""
+    with suppress(OSError, SubprocessError):
+        done = check_output(command, env=environ, stdin=DEVNULL, stderr=DEVNULL, timeout=limit_s)
+        return done.decode(errors="replace")
+    return ""
 
 
 def unit_path(environ: Mapping[str, str]) -> Path:
@@ -211,9 +216,8 @@ def restore(text: str | None, environ: Mapping[str, str] = os.environ) -> Instal
     """Write `text` as the unit, or remove the unit if `text` is None. Errors: see `install`."""
     path = unit_path(environ)
     changed = replace_own(path, MARK, text)
-    if text is None:
-        return Installed(path, changed, FORGET if changed else ())
-    return Installed(path, changed, RESTART)
+    forgotten = FORGET if changed else ()
+    return Installed(path, changed, forgotten if text is None else RESTART)
 
 
 def own_text(path: Path, mark: str) -> str | None:

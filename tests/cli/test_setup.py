@@ -160,6 +160,18 @@ def test_undo_gives_back_each_earlier_state_and_keeps_later_edits(home: Path, pa
     assert sorted(path.parent.iterdir()) == [path, undone]
 
 
+@pytest.mark.parametrize("booted", ["/", "/nowhere"])
+def test_undo_says_what_it_did_with_and_without_systemd(home, path, monkeypatch, booted):
+    monkeypatch.setattr(autostart, "BOOTED", Path(booted))
+    setup_files.write(path, None, "gain_db = -1.0\n", with_service=True)
+    menu, unit = (next(home.rglob(f"*{name}"), None) for name in ("-cushion.desktop", ".service"))
+    done = setup_files.undo()[0]
+    removed = [f"{file}: removed" for file in (path, menu, unit) if file]
+    assert sorted(done) == sorted([*removed, "start at login: off"])
+    assert (len(removed) == 3) == (booted == "/")
+    assert not [file for file in home.rglob("*cushion*") if file.is_file()]
+
+
 def test_a_config_that_changed_or_whose_backup_is_gone_is_left_alone(path: Path) -> None:
     path.write_text("gain_db = -1.0\n")
     with pytest.raises(UsageError, match="changed during the setup"):
