@@ -67,14 +67,12 @@ def applications_in(
 
 def not_left_out(applications: tuple[Application, ...]) -> str:
     """Return a warning about applications that should be left out but are felt; "" for none."""
-    names = [
-        f"{one.name} ({one.rule})"
+    names = ", ".join(
+        f"{one.name!r} ({one.rule})"
         for one in applications
         if one.plays and one.is_felt and one.rule in REASONS
-    ]
-    if not names:
-        return ""
-    return (
-        f"cannot be left out, because the mixed sound is tapped: {', '.join(names)}; "
-        "name them under exclude in [applications] to leave them out"
+    )
+    return names and (
+        "these applications are felt, although they should be left out, because the mixed sound "
+        f"is tapped: {names}; name them under exclude in [applications]"
     )

@@ -271,4 +271,4 @@ def test_the_status_says_what_a_tap_of_the_mixed_sound_cannot_leave_out():
     snapshot = seen(stream(1, "mpv"), stream(3, "chime", role="event"))
     shown = applications_in(snapshot, config_of(), SOURCE, "dac", is_mixed=True)
     assert {one.name for one in shown if one.is_felt} == {"mpv", "chime"}
-    assert "mixed sound is tapped: chime (alert)" in not_left_out(shown)
+    assert "mixed sound is tapped: 'chime' (alert); name" in not_left_out(shown)
