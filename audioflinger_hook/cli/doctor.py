@@ -33,15 +33,16 @@ def run(options: argparse.Namespace) -> int:
     if options.measure:
         facts = replace(facts, delay=measure(facts))
     findings = find(facts)
-    if options.report is not None:
-        text = full_report(facts, findings, repaired, _person())
-        write_bytes_atomically(options.report, text.encode("utf-8", "replace"))
     if options.json:
-        delay = asdict(facts.delay) if facts.delay else None
+        told = [{"label": label, "text": text} for label, text in rows(facts)]
         shown = {"findings": [asdict(one) for one in findings], "repaired": repaired}
-        print(json.dumps({**shown, "delay": delay, "facts": list(rows(facts))}, indent=2))
+        delay = asdict(facts.delay) if facts.delay else None
+        print(json.dumps({**shown, "delay": delay, "facts": told}, indent=2))
     else:
         print(findings_text(findings, repaired), facts_text(facts), sep="\n\n")
+    if options.report is not None:  # last, because this may fail
+        text = full_report(facts, findings, repaired, _person())
+        write_bytes_atomically(options.report, text.encode("utf-8", "replace"))
     return EXIT_FINDINGS if findings else 0
 
 

@@ -31,7 +31,7 @@ pulseaudio: The sound server is PulseAudio {server.version}, so only the Python 
 vibration comes 65 to 130 ms after its sound.
     Install pipewire, pipewire-pulse and wireplumber in place of PulseAudio, or delay the sound \
 too, in drop-in mode.
-    $ cushion run --drop-in --offset-ms=-69
+    $ cushion run --drop-in
 config unreadable: The config file cannot be read: {config_error}.
     Correct the file.
     $ cushion check
@@ -126,14 +126,18 @@ monitor-tap: The sound is read one cycle late, from the output's monitor: \
 {status.graph.tap_reason}.
     Set a shorter cycle.
     $ pw-metadata -n settings 0 clock.force-quantum 256
-daemon-warns: The daemon warns: {warning}.
-    Follow this warning.
+daemon-warns remedy: The daemon warns: {warning}.
+    {remedy}.
+daemon-warns alone: The daemon warns: {warning}.
+    Read the messages before this warning, in the daemon's terminal or with this command.
+    $ journalctl --user -u cushion
 not-felt: A measurement played bursts, but their delay is unknown: {delay.reason}.
     See which level is missing.
     $ cushion status --watch
 """
 
 _FORM = re.compile(r"^([^:\n]+): (.+)\n    (.+)(?:\n    \$ (.+))?$", re.MULTILINE)
+_PARTS = re.compile(r"^(.*?)(?:; (?!allowed:)([^;]+))?$", re.DOTALL)  # a warning, what to do
 
 # {name: what is wrong, what to do, command}
 TEXTS = {name: texts for name, *texts in _FORM.findall(_TABLE)}
@@ -214,9 +218,7 @@ def _simple(facts: Facts) -> Iterator[Fault]:
         "as_user": " Run cushion as the user of the desktop, not as root." * facts.is_root,
         "speakers": shlex.quote(others[0]) if len(others) == 1 else "NAME",
         "device_error": facts.device_error,
-        "asked": "the system bus cannot be asked"
-        if facts.rtkit is None
-        else "it is not on the bus",
+        "asked": "it is not on the bus" if facts.rtkit is False else "the bus does not answer",
         "who": f"process {holder.pid}" if holder else "an unknown process",
         "kill": f"kill -9 {holder.pid}" if holder else "",
         "silent": facts.daemon_error or "no answer",
@@ -245,8 +247,14 @@ def _repeated(facts: Facts) -> Iterator[Fault]:
         command = f"kill {process}" if process != other else "cushion plugin remove"
         named = {"count": len(players), "players": ", ".join(players), "command": command}
         yield "second-daemon", named
-    warnings = status.warnings if status else ()
-    yield from (("daemon-warns", {"warning": one}) for one in warnings)
+    told = [f"{one.name} is muted" for one in (facts.heard, facts.felt) if one and one.mute]
+    if status and status.graph and status.graph.tap == "monitor":
+        told.append("the sink's monitor is tapped")
+    for line in status.warnings if status else ():
+        warning, remedy = _PARTS.findall(line)[0]
+        if not line.startswith((*told,)):  # a finding of its own tells these
+            named = {"warning": warning, "remedy": remedy[:1].upper() + remedy[1:]}
+            yield f"daemon-warns {'remedy' if remedy else 'alone'}", named
 
 
 def _rates(facts: Facts) -> Iterator[Fault]:

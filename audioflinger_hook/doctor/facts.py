@@ -88,6 +88,7 @@ class Facts:
     holder: Holder | None = None  # named in the lock file
     is_locked: bool = False  # whether a daemon holds the lock
     service: str = ""  # state of the systemd service, such as "active" or "failed"
+    errors: tuple[str, ...] = ()  # last errors and warnings in the service's journal
 
     delay: Delay | None = None
 

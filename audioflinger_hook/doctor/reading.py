@@ -9,11 +9,11 @@ import platform
 import re
 import resource
 import shutil
-import subprocess
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from audioflinger_hook import __version__
@@ -26,7 +26,7 @@ from audioflinger_hook.doctor.facts import OURS, Facts, Folder
 from audioflinger_hook.pipeline.config_check import find_mistakes
 from audioflinger_hook.plugin.install import Places
 from audioflinger_hook.service.install import NAME as SERVICE
-from audioflinger_hook.service.install import state_folder
+from audioflinger_hook.service.install import printed, state_folder
 from audioflinger_hook.service.runtime_folder import VARIABLE, RuntimeFolder, folder_path, read_lock
 from audioflinger_hook.service.status_client import ask_status
 from device.address import parse_device
@@ -39,6 +39,11 @@ from device.stream import AudioPriority
 from device.stream.pcms import FALLBACK_SINK, missing_plugin
 
 ANSWER_S = 3.0  # longest time in s for one program, server or daemon to answer
+_printed = partial(printed, limit_s=ANSWER_S)
+
+ERRORS_MAX = 5  # number of messages from the service's journal
+_JOURNAL = f"journalctl --user -u {SERVICE} -q -n 500 -o short-iso --no-hostname".split()
+_ERROR = re.compile(rf"^(\S+) .*?\]: (cushion: (?:error|warning): .+|{SERVICE}: Failed .+)", re.M)
 
 _BUS = "org.freedesktop.DBus"
 _LIST_SERVICES = (  # of the system bus, with one of two programs
@@ -128,18 +133,10 @@ def _with_daemon(facts: Facts, clock: Callable[[], float], environ: Mapping[str,
     holder, is_locked = read_lock(environ)
     # `systemctl` prints the state also if it returns another code than 0.
     service = _printed("sh", "-c", f"systemctl --user is-active {SERVICE} || true").strip()
-    known = replace(facts, status=status, daemon_error=error, service=service)
+    journal = _printed(*_JOURNAL) if service else ""  # its lines have no priorities, only texts
+    errors = tuple(map(" ".join, _ERROR.findall(journal)[-ERRORS_MAX:]))
+    known = replace(facts, status=status, daemon_error=error, service=service, errors=errors)
     return replace(known, holder=holder, is_locked=is_locked)
-
-
-def _printed(*command: str) -> str:
-    """Return the output of a program; "" if it is missing, fails or takes over ANSWER_S."""
-    with suppress(OSError, subprocess.SubprocessError):
-        done = subprocess.run(
-            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=ANSWER_S, check=True
-        )
-        return done.stdout.decode(errors="replace")
-    return ""
 
 
 def _version(program: str) -> str:

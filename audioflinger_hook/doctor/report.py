@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from audioflinger_hook.doctor.checks import Finding
+from audioflinger_hook.doctor.checks import TEXTS, Finding
 from audioflinger_hook.doctor.facts import OURS, Facts
 from audioflinger_hook.service.status import status_rows
 from device.server.graph import Graph
@@ -14,11 +14,12 @@ from device.server.graph import Graph
 _STATUS_ROWS = "cushion state profile server latency offset dropouts recoveries sound vibration"
 # Paths outside these folders may be names that the user gave.
 _SYSTEM = ("/usr/", "/etc/", "/proc/", "/dev/", "/lib")
-_QUOTED = re.compile(r"'[^']*'|\"[^\"]*\"")
+_QUOTED = re.compile(r"(?<!\w)(['\"]).*?\1(?!\w)")  # "PipeWire's" has an apostrophe, no quote
 # A path may contain spaces, so everything up to the next clause counts as its name.
-_PATH = re.compile(r"(?<![\w.~/])(?:file:|capture:|wav:)?[~.]{0,2}/[^;:,)'\"]*")
+_PATH = re.compile(r"(?<![\w.~/])(?:(?:app|file|capture|wav):(?=\S)|[~.]{0,2}/)[^;:,)'\"]*")
 _PLAIN = re.compile(r"[-+.\w]{0,2}|[-+.\deE_]+|true|false")  # values that are no names
 _NAMED = ("app", "file", "capture", "wav")  # kinds of taps and devices with a private name
+_OWN_WORDS = str(TEXTS)  # a name that these texts contain, such as "PipeWire", tells nothing
 HIDDEN = "(hidden)"
 
 
@@ -46,26 +47,29 @@ def full_report(
     """
     keep = {sink.name for sink in facts.server.sinks} if facts.server else set()
     text = f"{findings_text(findings, repairs)}\n\n{facts_text(facts)}\n"
-    for word in sorted(_private_words(facts), key=len, reverse=True):
-        text = text.replace(word, HIDDEN)
+    for word in sorted({*_private_words(facts)} - keep, key=len, reverse=True):
+        text = re.sub(rf"(?<![^\W_]){re.escape(word)}(?![^\W_])", HIDDEN, text)
     return "\n".join(anonymous(line, keep, person) for line in text.split("\n"))
 
 
 def _private_words(facts: Facts) -> Iterator[str]:
-    """Return the user's own words: values in the config file, and names of taps and devices."""
+    """Return the user's own words: values in the config file, and names of what plays."""
     for mistake in facts.mistakes:
         value = mistake.value.strip('"')
         if not _PLAIN.fullmatch(value):
             yield value
         if "is not TOML" in mistake.problem:
             yield mistake.key  # the text of the line
-    addresses = [*facts.live.tap, facts.live.device or ""]
-    if facts.status is not None:
-        addresses += [facts.status.tap.address, facts.status.device.address]
-    for address in addresses:
+    status, server = facts.status, facts.server
+    used = [status.tap.address, status.device.address] if status else []
+    for address in (*facts.live.tap, facts.live.device or "", *used):
         kind, _, name = address.partition(":")
         if kind in _NAMED and name:
             yield name
+    names = [one.name for one in status.applications] if status else []
+    for one in server.sink_inputs if server else ():
+        names += [one.application, one.media]
+    yield from (name for name in names if name not in _OWN_WORDS)
 
 
 def anonymous(line: str, keep: set[str], person: Sequence[str]) -> str:
@@ -112,6 +116,7 @@ def rows(facts: Facts) -> Iterator[tuple[str, str]]:
             if row.label in _STATUS_ROWS.split():
                 yield f"daemon {row.label}", str(row)
         yield "daemon engine", ": ".join(filter(None, (status.engine, status.engine_reason)))
+    yield from (("last error", text) for text in facts.errors)
     if delay is not None and delay.delay_ms is None:
         yield "measured delay", delay.reason
     elif delay is not None:

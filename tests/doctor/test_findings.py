@@ -9,6 +9,7 @@ import pytest
 
 from audioflinger_hook.config.settings import LiveSettings
 from audioflinger_hook.config.toml_text import Mistake
+from audioflinger_hook.daemon.outputs.sink import muted
 from audioflinger_hook.doctor.checks import TEXTS, find
 from audioflinger_hook.doctor.facts import Delay, Facts, Folder
 from audioflinger_hook.doctor.repair import REPAIRS
@@ -159,6 +160,40 @@ def test_a_daemon_an_engine_or_a_config_that_says_what_is_wrong_is_a_finding() -
     (unreadable,) = find(changed(config_error="no permission"))
     assert unreadable.wrong == "The config file cannot be read: no permission."
     assert names(changed(config_warnings=("it is slow",))) == ["config"]
+
+
+@pytest.mark.parametrize(
+    ("warning", "wrong", "advice"),
+    [
+        ("mpv is slow; name it", "mpv is slow", "Name it."),
+        ("a; b; put `c` there", "a; b", "Put `c` there."),
+        ("7 is wrong; allowed: 8", "7 is wrong; allowed: 8", "Read the messages before this"),
+    ],
+)
+def test_the_last_part_of_a_daemons_warning_is_the_advice(warning, wrong, advice) -> None:
+    (found,) = find(with_status(warnings=(warning,)))
+    assert found.wrong == f"The daemon warns: {wrong}."
+    assert found.advice.startswith(advice)
+    assert bool(found.command) == advice.startswith("Read")
+
+
+def test_a_warning_of_a_cause_that_is_a_finding_is_not_repeated() -> None:
+    both = replace(SERVER, sinks=(replace(DESKTOP, mute=True), replace(HAPTIC, mute=True)))
+    heard = "desktop is muted or at 0 %, so its sound causes no vibration; unmute it"
+    tapped = "the sink's monitor is tapped, one cycle later: links refused"
+    warnings = (muted("haptic"), heard, tapped)
+    status = replace(STATUS, warnings=warnings, graph=GraphFigures(1_024, 48_000, "monitor", "?"))
+    assert names(changed(server=both, status=status)) == [
+        "device-muted",
+        "sound-muted",
+        "monitor-tap",
+    ]
+    assert names(with_status(warnings=warnings)) == ["daemon-warns"] * 3
+
+
+def test_pulseaudio_leads_to_the_drop_in_mode_that_finds_its_delay() -> None:
+    (found,) = find(CASES["pulseaudio"])
+    assert found.command == "cushion run --drop-in"
 
 
 def test_a_device_is_needed_while_no_daemon_plays() -> None:

@@ -28,6 +28,10 @@ PERSON = ("anna", "/home/anna", "annas-box")
         "see ~/secret.toml",
         "see ./secret.toml",
         "/usr/bin/x by /home/anna/secret",
+        "PipeWire's 'secret' is muted",
+        "the stream 'it's secret' is muted",
+        "the tap app:secret film is missing",
+        "tap file:secret.wav is missing",
     ],
 )
 def test_paths_and_quoted_names_are_hidden(line: str) -> None:
@@ -47,6 +51,7 @@ def test_the_person_and_the_machine_are_hidden() -> None:
         "       pw-metadata -n settings 0 clock.force-rate 0",
         '       echo "$USER - rtprio 20" | sudo tee /etc/security/limits.d/cushion.conf',
         "dropouts: tap 0, output 0 and/or",
+        "cannot read the file: no permission",
     ],
 )
 def test_what_a_helper_needs_stays(line: str) -> None:
@@ -76,13 +81,23 @@ def test_the_report_shows_no_name_of_an_application_a_stream_or_a_rule() -> None
         rule="secret",
         tap=Endpoint("default", "secret"),
         applications=(Application("secret", plays=True, is_felt=True),),
+        warnings=("secret, 'Sissy's \"secret\"' and Sissy's \"secret\" are felt",),
     )
+    names = {"application": 'Sissy\'s "secret"', "media": "PipeWire"}
+    server = replace(server, sink_inputs=(*server.sink_inputs, stream(8, 1, "desktop", **names)))
     chain = Graph()
     chain.apply([node(60, "haptic-cushion-7-1.tap"), port(61, 60, "input_AUX0")])
     chain.apply([node(70, "secret"), port(71, 70, "output_FL")])
     chain.apply([link(80, 71, 61, chain)])
-    text = full_report(replace(HEALTHY, server=server, graph=chain, status=status), [], [], PERSON)
+    facts = replace(HEALTHY, server=server, graph=chain, status=status, pipewire="1.4.2")
+    facts = replace(
+        facts, errors=("cushion: warning: secret is loud", "cushion: error: no /a/secret")
+    )
+    text = full_report(facts, find(facts), [], PERSON)
     assert "secret" not in text
+    assert "Sissy" not in text
+    assert f"last error:         cushion: warning: {HIDDEN} is loud" in text
+    assert "PipeWire:           1.4.2" in text  # the name of a stream, and a word of the doctor
     assert "stream 70 -> haptic-cushion-7-1.tap (active) x 1" in text
     assert "running, for 1.0 s" in text
 

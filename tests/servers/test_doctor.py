@@ -37,7 +37,8 @@ class Visit:
 
     def facts(self, label: str) -> str:
         """The facts of one label, a line each."""
-        return "\n".join(text for known, text in self.document["facts"] if known == label)
+        known = self.document["facts"]
+        return "\n".join(one["text"] for one in known if one["label"] == label)
 
 
 def visit(
