@@ -80,8 +80,8 @@ def test_the_report_shows_no_name_of_an_application_a_stream_or_a_rule() -> None
         reason="waits for secret",
         rule="secret",
         tap=Endpoint("default", "secret"),
-        applications=(Application("secret", plays=True, is_felt=True),),
-        warnings=("secret, 'Sissy's \"secret\"' and Sissy's \"secret\" are felt",),
+        applications=(Application("hush", plays=True, is_felt=True),),
+        warnings=("hush, secret, 'Sissy's \"secret\"' and Sissy's \"secret\" are felt",),
     )
     names = {"application": 'Sissy\'s "secret"', "media": "PipeWire"}
     server = replace(server, sink_inputs=(*server.sink_inputs, stream(8, 1, "desktop", **names)))
@@ -96,6 +96,7 @@ def test_the_report_shows_no_name_of_an_application_a_stream_or_a_rule() -> None
     text = full_report(facts, find(facts), [], PERSON)
     assert "secret" not in text
     assert "Sissy" not in text
+    assert "hush" not in text
     assert f"last error:         cushion: warning: {HIDDEN} is loud" in text
     assert "PipeWire:           1.4.2" in text  # the name of a stream, and a word of the doctor
     assert "stream 70 -> haptic-cushion-7-1.tap (active) x 1" in text
