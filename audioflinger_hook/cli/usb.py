@@ -119,9 +119,7 @@ def _asked(control: UsbControl) -> dict[str, Any]:
 
 
 def _document(
-    whole: WholeDevice,
-    device: UsbAudioDevice | None = None,
-    settings: dict[str, Any] | None = None,
+    whole: WholeDevice, device: UsbAudioDevice | None = None, settings: dict[str, Any] | None = None
 ) -> dict[str, Any]:
     """Return all known properties of a device or dump, as printed by --json."""
     document: dict[str, Any] = {}
