@@ -258,13 +258,14 @@ def test_the_menu_of_an_application_is_used_by_the_keyboard(room, page):
         for choice in ("cinema", "game"):
             page.keyboard.press("ArrowDown")
             says(page, "#applications", 'felt (rule "Film"), not saved')
-            wait_for(lambda choice=choice: menu.input_value() == choice, choice)
+            menu.locator(f"option[value={choice}]:checked").wait_for(state="attached")
             wait_for(lambda: page.evaluate(focused) == "Profile of Film", "the focus")
         for key in ("Space", "ArrowDown", "Enter"):  # in the open list
             page.keyboard.press(key)
             page.wait_for_timeout(300)
         says(page, "#engine", "Profile music", 30.0)
         assert page.evaluate(focused) == "Profile of Film"
+        assert menu.get_attribute("data-used") is None  # it may be redrawn
         page.click("#undo")
         wait_for(lambda: menu.input_value() == "game", "the rule before")
         for _ in range(2):

@@ -45,7 +45,7 @@ class Watcher(ServiceInterface):
     @dbus_property(PropertyAccess.READ)
     def IsStatusNotifierHostRegistered(self) -> DBusBool:
         self.hosts_after -= 1
-        return self.hosts_after < 0
+        return bool(self.hosts_after < 0)
 
 
 @asynccontextmanager
