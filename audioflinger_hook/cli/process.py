@@ -24,8 +24,7 @@ class Signals(AbstractContextManager["Signals"]):
     """
 
     def __init__(self, wake: Wake) -> None:
-        self.end = False
-        self.reload = False
+        self.end = self.reload = False
         self.on_spinning: Callable[[], None] = lambda: None
         self._wake = wake
         self._terminals = [descriptor for descriptor in (0, 1, 2) if os.isatty(descriptor)]

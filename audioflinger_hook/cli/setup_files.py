@@ -44,11 +44,9 @@ def write(path: Path, before: str | None, text: str, *, with_service: bool) -> s
     """Write the config, the service and the menu's entry. Return the config's backup, or "".
 
     before: the file's text before the questions; None if there was no file. with_service: whether
-    to start the daemon at every login.
-
-    UsageError: the file has changed since the questions, or a folder cannot
-    be written. WriteError: the disk is full or failed. After an error or an interruption, all files
-    are restored if possible.
+    to start the daemon at every login. UsageError: the file has changed since the questions, or a
+    folder cannot be written. WriteError: the disk is full or failed. After an error or an
+    interruption, all files are restored if possible.
     """
     if text_of(path) != before:
         raise UsageError(

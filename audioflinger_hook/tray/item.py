@@ -46,11 +46,13 @@ def _fixed(name: str, kind: Any, value: object) -> Any:
 
 
 class Item(ServiceInterface):
-    """The icon. icons: folder of icon themes that has it; "" for the desktop's own folders."""
+    """The icon, which is written to the user's icon themes."""
 
-    def __init__(self, icons: str) -> None:
+    def __init__(self) -> None:
         super().__init__("org.kde.StatusNotifierItem")
-        self._icons = icons
+        self._icons = ""
+        with suppress(CushionError):  # without the file, the host shows a placeholder
+            self._icons = str(install_icon())
 
     Category = _fixed("Category", DBusStr, "Hardware")
     Id = _fixed("Id", DBusStr, NAME)
@@ -138,10 +140,7 @@ async def show(menu: Menu, timeout_s: float) -> MessageBus:
         bus = await MessageBus(bus_type=BusType.SESSION).connect()
     except Exception as error:  # the library raises several kinds
         raise NotFoundError(f"no D-Bus session bus answers; {NO_HOST}") from error
-    icons = ""
-    with suppress(CushionError):  # without the file, the host shows a placeholder
-        icons = str(install_icon())
-    bus.export(ITEM_PATH, Item(icons))
+    bus.export(ITEM_PATH, Item())
     bus.export(MENU_PATH, menu)
     name = f"org.kde.StatusNotifierItem-{os.getpid()}-1"
     await bus.request_name(name)
