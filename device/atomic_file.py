@@ -28,7 +28,7 @@ _FOLDER_FLAGS = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEX
 _MODE = 0o666  # reduced by the umask
 
 
-class AtomicFile:
+class AtomicFile(contextlib.AbstractContextManager["AtomicFile"]):
     """A new file that appears at `path` only when `commit` succeeds.
 
     Before `commit`, and after `abort` or kill -9, an existing file at `path` is unchanged. A `with`
@@ -107,9 +107,6 @@ class AtomicFile:
             if fd >= 0:
                 os.close(fd)
         self._file_fd = self._folder_fd = -1
-
-    def __enter__(self) -> "AtomicFile":
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:

@@ -188,11 +188,7 @@ MUTATIONS = (
         PLACED,
     ),
     Mutation(
-        "no microphone is tapped",
-        GUARD,
-        "if one.monitor_of or self.any_source]",
-        "]",
-        PLACED,
+        "no microphone is tapped", GUARD, "if one.monitor_of or self.any_source]", "]", PLACED
     ),
     Mutation(
         "an ended guard leaves its stream silent",

@@ -1,6 +1,7 @@
 """Takes buffers from the audio thread; a second thread writes them to a capture."""
 
 import threading
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from queue import SimpleQueue
 
@@ -25,7 +26,7 @@ class _Handed:
     dropped_before: tuple[int, int]
 
 
-class CaptureRecorder:
+class CaptureRecorder(AbstractContextManager["CaptureRecorder"]):
     """Writes a capture for audio threads. For each stream, only one thread may call `offer`.
 
     writer: `close` also closes the writer. capacity_samples, capacity_buffers: largest size of each
@@ -97,9 +98,6 @@ class CaptureRecorder:
             self.error = self.error or error
         if self.error is not None:
             raise self.error
-
-    def __enter__(self) -> "CaptureRecorder":
-        return self
 
     def __exit__(self, *_error: object) -> None:
         self.close()

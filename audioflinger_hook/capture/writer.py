@@ -4,7 +4,7 @@ import errno
 import math
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -37,7 +37,7 @@ class _Stream:
     segment_frames: int = 0
 
 
-class CaptureWriter:
+class CaptureWriter(AbstractContextManager["CaptureWriter"]):
     """A new capture, written buffer by buffer.
 
     `write_buffer` passes the data to the operating system before it returns. `close` syncs the
@@ -141,9 +141,6 @@ class CaptureWriter:
                     _fsync(self.folder)
         finally:
             self._release()
-
-    def __enter__(self) -> "CaptureWriter":
-        return self
 
     def __exit__(self, *_error: object) -> None:
         self.close()

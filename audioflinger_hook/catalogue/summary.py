@@ -3,6 +3,7 @@
 import heapq
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -120,7 +121,7 @@ def _descending(heap: list[Ranked]) -> list[Ranked]:
     return sorted(heap, reverse=True)
 
 
-class Failures:
+class Failures(AbstractContextManager["Failures"]):
     """Collects the failed items as a manifest, in a temporary file. A context manager."""
 
     def __init__(self) -> None:
@@ -141,14 +142,11 @@ class Failures:
         self._file.flush()
         storage.put(name, lambda path: copyfile(self._file.name, path))
 
-    def __enter__(self) -> "Failures":
-        return self
-
     def __exit__(self, *_error: object) -> None:
         self._file.close()
 
 
-class Page:
+class Page(AbstractContextManager["Page"]):
     """Collects the pictures of a run in temporary files. A context manager."""
 
     def __init__(self) -> None:
@@ -185,9 +183,6 @@ class Page:
             if self._left_out:
                 file.write(f"<p>{self._left_out} more items have no picture here.</p>\n".encode())
         return path
-
-    def __enter__(self) -> "Page":
-        return self
 
     def __exit__(self, *_error: object) -> None:
         self._ordinary.close()

@@ -65,7 +65,6 @@ def _usb(device: UsbAudioDevice, found: Found, snapshot: ServerSnapshot | None) 
         trouble = str(error)
     units = playback_formats(configuration) if configuration else ()
     sinks = snapshot.sinks if snapshot else ()
-    sinks = tuple(one for one in sinks if device_of_sink(one, found.devices) == device)
     return {
         "device": str(identify(device, found.devices)),
         "manufacturer": device.manufacturer,
@@ -82,7 +81,7 @@ def _usb(device: UsbAudioDevice, found: Found, snapshot: ServerSnapshot | None) 
         "max_power_ma": device.max_power_ma,
         "drivers": sorted({each.driver for each in device.interfaces if each.driver}),
         "hw": list(hw_names(device)),
-        "sinks": [sink.name for sink in sinks],
+        "sinks": [one.name for one in sinks if device_of_sink(one, found.devices) == device],
         "problem": trouble,
     }
 

@@ -34,9 +34,7 @@ class Output:
 
 
 def list_outputs(
-    snapshot: ServerSnapshot,
-    devices: Sequence[UsbAudioDevice],
-    playbacks: Iterable[AlsaDevice],
+    snapshot: ServerSnapshot, devices: Sequence[UsbAudioDevice], playbacks: Iterable[AlsaDevice]
 ) -> list[Output]:
     """Return all sinks except this program's own, and all sound cards that no sink uses."""
     sinks = [sink for sink in snapshot.sinks if sink.name not in OWN_SINKS]

@@ -5,6 +5,7 @@ import os
 import resource
 import signal
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 
 from audioflinger_hook.daemon.timing import Wake
 from device.errors import UsageError
@@ -12,7 +13,7 @@ from device.errors import UsageError
 NEEDED, WANTED = 64, 512  # lowest accepted limit of open files, and the limit to set
 
 
-class Signals:
+class Signals(AbstractContextManager["Signals"]):
     """Stores received signals as attributes for the main thread, and wakes it through `wake`.
 
     These signals raise no exception. The context manager restores the previous handlers at exit.
@@ -23,8 +24,7 @@ class Signals:
     """
 
     def __init__(self, wake: Wake) -> None:
-        self.end = False
-        self.reload = False
+        self.end = self.reload = False
         self.on_spinning: Callable[[], None] = lambda: None
         self._wake = wake
         self._terminals = [descriptor for descriptor in (0, 1, 2) if os.isatty(descriptor)]
@@ -37,9 +37,6 @@ class Signals:
             signal.SIGXCPU: self._spinning,
         }
         self._before = {number: signal.signal(number, take) for number, take in handlers.items()}
-
-    def __enter__(self) -> "Signals":
-        return self
 
     def __exit__(self, *_error: object) -> None:
         for number, handler in self._before.items():

@@ -41,14 +41,12 @@ class Record:
 
 
 def write(path: Path, before: str | None, text: str, *, with_service: bool) -> str:
-    """Write the config and install the service. Return the path of the config's backup, or "".
+    """Write the config, the service and the menu's entry. Return the config's backup, or "".
 
     before: the file's text before the questions; None if there was no file. with_service: whether
-    to start the daemon at every login, and to add the page to the desktop's menu.
-
-    UsageError: the file has changed since the questions, or a folder cannot
-    be written. WriteError: the disk is full or failed. After an error or an interruption, all files
-    are restored if possible.
+    to start the daemon at every login. UsageError: the file has changed since the questions, or a
+    folder cannot be written. WriteError: the disk is full or failed. After an error or an
+    interruption, all files are restored if possible.
     """
     if text_of(path) != before:
         raise UsageError(
@@ -79,7 +77,7 @@ def write(path: Path, before: str | None, text: str, *, with_service: bool) -> s
             if autostart.has_systemd():
                 service.install(["--wait"], systemd=service.systemd_version())
             autostart.set_on(True)
-            install_page_entry(service.own_command())
+        install_page_entry(service.own_command())
     except BaseException:
         with suppress(CushionError):  # `cushion setup --undo` can then restore the files
             if record in _records():
@@ -112,13 +110,15 @@ def _take_back(record: Record, earlier: list[Record]) -> tuple[list[str], tuple[
     if record.unit_changed:
         if not record.started:
             autostart.set_on(False)
-            done += ["start at login: off", f"{remove_page_entry()}: removed"]
+            done.append("start at login: off")
         restored = service.restore(record.unit)
         if restored.changed or record.unit is not None:
             done.append(f"{restored.path}: {'as it was before' if record.unit else 'removed'}")
         commands = restored.commands
     _save(earlier)
     _remove_backup(record)
+    if not earlier:
+        done.append(f"{remove_page_entry()}: removed")
     return done, commands
 
 

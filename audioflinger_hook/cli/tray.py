@@ -3,6 +3,7 @@
 import argparse
 import asyncio
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from audioflinger_hook.cli.terminal import warn
@@ -15,7 +16,7 @@ RATE_HZ = 1.0
 
 
 def run(options: argparse.Namespace) -> int:
-    """Show the icon until an interruption. The daemon continues without the icon."""
+    """Show the icon until an interruption or the session's end; the daemon continues without."""
     try:
         asyncio.run(_serve())
     except ModuleNotFoundError as error:
@@ -52,7 +53,8 @@ async def _serve() -> None:
     bus = await show(menu, TIMEOUT_S)
     following = asyncio.ensure_future(link.run())
     try:
-        await bus.wait_for_disconnect()  # type: ignore[no-untyped-call]
+        with suppress(EOFError, OSError):  # the session ends, as at logout
+            await bus.wait_for_disconnect()  # type: ignore[no-untyped-call]
     finally:
         following.cancel()
         bus.disconnect()

@@ -40,10 +40,8 @@ def run(options: argparse.Namespace) -> int:
         documents = [_document(whole) for whole in _dumped(options.hex)]
     else:
         documents = [
-            _document(
-                parse_whole(read_descriptors(device)), device, _settings(device, options.take_over)
-            )
-            for device in _devices(options.device)
+            _document(parse_whole(read_descriptors(one)), one, _settings(one, options.take_over))
+            for one in _devices(options.device)
         ]
     if options.json:
         single = options.device or (options.hex is not None and len(documents) == 1)
@@ -119,9 +117,7 @@ def _asked(control: UsbControl) -> dict[str, Any]:
 
 
 def _document(
-    whole: WholeDevice,
-    device: UsbAudioDevice | None = None,
-    settings: dict[str, Any] | None = None,
+    whole: WholeDevice, device: UsbAudioDevice | None = None, settings: dict[str, Any] | None = None
 ) -> dict[str, Any]:
     """Return all known properties of a device or dump, as printed by --json."""
     document: dict[str, Any] = {}
@@ -240,8 +236,7 @@ def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
                         shown["lowest_db"] = _finite(decibels.lowest_db)
                         shown["highest_db"] = _finite(decibels.highest_db)
                     volumes.append(shown)
-                for switch in mixer.switches:
-                    mutes.append({"name": switch.name, "muted": list(mixer.muted(switch))})
+                mutes += [{"name": s.name, "muted": [*mixer.muted(s)]} for s in mixer.switches]
         except CushionError as error:
             problem = str(error)
     return {"volumes": volumes, "mutes": mutes, "problem": problem}

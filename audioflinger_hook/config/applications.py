@@ -42,8 +42,7 @@ class ApplicationRule(Described):
         str | None, Choice("profile while the application plays", tuple(PROFILES))
     ] = None
     gain_db: Annotated[
-        float,
-        Number("added to the level while it plays", GAIN_MIN_DB, GAIN_MAX_DB, "dB"),
+        float, Number("added to the level while it plays", GAIN_MIN_DB, GAIN_MAX_DB, "dB")
     ] = 0.0
     feel: Annotated[
         bool | None,

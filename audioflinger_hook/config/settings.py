@@ -84,8 +84,7 @@ class Settings(Described):
         Model, Choice("model of the simulated rig; auto: the fastest within tolerance", MODELS)
     ] = "auto"
     tolerance: Annotated[
-        float,
-        Number("largest error of model = auto, as a share of the peak", LEAST_TOLERANCE, 1.0),
+        float, Number("largest error of model = auto, as a share of the peak", LEAST_TOLERANCE, 1.0)
     ] = 0.01
     gain_db: Annotated[
         float, Number("level of the vibration", GAIN_MIN_DB, GAIN_MAX_DB, "dB", change="nothing")

@@ -173,11 +173,7 @@ class Engines:
             self.python.live.close()
 
     def maintain(
-        self,
-        connection: PulseConnection | None,
-        source: AudioNode,
-        device: AudioNode,
-        now_s: float,
+        self, connection: PulseConnection | None, source: AudioNode, device: AudioNode, now_s: float
     ) -> bool:
         """Choose an engine and end the other; return whether the Python engine must not play."""
         seen = connection.latest if connection else None

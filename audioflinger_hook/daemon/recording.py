@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
@@ -80,7 +80,7 @@ def _named(kind: type[Any], facts: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in facts.items() if name in names}
 
 
-class RunRecording:
+class RunRecording(AbstractContextManager["RunRecording"]):
     """Records one run as a capture with streams `tap`, `effect` and `device`.
 
     A replay of `tap` reproduces `effect` bit for bit, unless an effect was bypassed. If writing
@@ -167,9 +167,6 @@ class RunRecording:
         """Complete the capture; raise its error, if any. All other threads must have ended."""
         if self._recorder:
             self._recorder.close()
-
-    def __enter__(self) -> "RunRecording":
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None or not issubclass(kind, CushionError):

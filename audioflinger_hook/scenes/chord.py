@@ -2,16 +2,7 @@
 
 import numpy as np
 
-from audioflinger_hook.scenes.shaping import (
-    band,
-    curve,
-    finished,
-    pan,
-    phase,
-    ring,
-    room,
-    times_s,
-)
+from audioflinger_hook.scenes.shaping import band, curve, finished, pan, phase, ring, room, times_s
 from device.units import Float32Array, FloatArray
 
 DURATION_S = 3.1

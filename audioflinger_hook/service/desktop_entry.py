@@ -74,10 +74,17 @@ def install_page_entry(program: Sequence[str], environ: Mapping[str, str] = os.e
     UsageError: a folder cannot be written, or another program wrote the entry. WriteError: the disk
     is full or failed.
     """
-    entry, icon = _installed(environ)
+    entry, _ = _installed(environ)
     replace_own(entry, MARK, page_entry(program))
-    write_private(icon, icon_bytes())
+    install_icon(environ)
     return entry
+
+
+def install_icon(environ: Mapping[str, str] = os.environ) -> Path:
+    """Write the icon; return the folder of icon themes. Errors: see `install_page_entry`."""
+    _, icon = _installed(environ)
+    write_private(icon, icon_bytes())
+    return icon.parents[3]
 
 
 def remove_page_entry(environ: Mapping[str, str] = os.environ) -> Path:

@@ -216,8 +216,7 @@ def restore(text: str | None, environ: Mapping[str, str] = os.environ) -> Instal
     """Write `text` as the unit, or remove the unit if `text` is None. Errors: see `install`."""
     path = unit_path(environ)
     changed = replace_own(path, MARK, text)
-    forgotten = FORGET if changed else ()
-    return Installed(path, changed, forgotten if text is None else RESTART)
+    return Installed(path, changed, FORGET * changed if text is None else RESTART)
 
 
 def own_text(path: Path, mark: str) -> str | None:

@@ -25,7 +25,7 @@ _LOCK_MODE = stat.S_ISVTX | 0o600
 _OPEN_LOCK = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
 
 
-class RuntimeFolder:
+class RuntimeFolder(contextlib.AbstractContextManager["RuntimeFolder"]):
     """The open folder `$XDG_RUNTIME_DIR/cushion`. Any thread may use the folder until `close`.
 
     If the variable is not set, the path is `/run/user/UID/cushion`. Without `/run/user/UID`, the
@@ -86,9 +86,6 @@ class RuntimeFolder:
             os.close(self.fd)
             self.fd = -1
 
-    def __enter__(self) -> "RuntimeFolder":
-        return self
-
     def __exit__(self, *_: object) -> None:
         self.close()
 
@@ -102,7 +99,7 @@ class Holder:
     device: str
 
 
-class DaemonLock:
+class DaemonLock(contextlib.AbstractContextManager["DaemonLock"]):
     """The lock that limits each user to one daemon, held until `release` or the end of the process.
 
     Programs that the daemon starts do not inherit the lock. holder: this daemon, as named in the
@@ -137,9 +134,6 @@ class DaemonLock:
                 os.ftruncate(self._fd, 0)
             os.close(self._fd)
             self._fd = -1
-
-    def __enter__(self) -> "DaemonLock":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.release()

@@ -5,6 +5,7 @@
 import asyncio
 import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Annotated, Any
 
 from dbus_fast import BusType, Message, MessageType, PropertyAccess, Variant
@@ -20,12 +21,14 @@ from dbus_fast.annotations import (
 )
 from dbus_fast.service import ServiceInterface, dbus_method, dbus_property, dbus_signal
 
-from audioflinger_hook.service.desktop_entry import NAME
+from audioflinger_hook.service.desktop_entry import NAME, install_icon
 from audioflinger_hook.tray.menu import Entry
-from device.errors import NotFoundError
+from device.errors import CushionError, NotFoundError
 
 WATCHER = "org.kde.StatusNotifierWatcher"
+BUS = "org.freedesktop.DBus"
 ITEM_PATH, MENU_PATH = "/StatusNotifierItem", "/MenuBar"
+HOST_S, ASK_EVERY_S = 2.0, 0.1  # at login, the desktop's panel may start after the icon
 NO_HOST = (
     "this desktop shows no tray icons (no StatusNotifier host answers); install or enable its "
     "tray extension, or use the page: `cushion monitor --open`; the vibration goes on"
@@ -43,7 +46,13 @@ def _fixed(name: str, kind: Any, value: object) -> Any:
 
 
 class Item(ServiceInterface):
-    """The icon."""
+    """The icon, which is written to the user's icon themes."""
+
+    def __init__(self) -> None:
+        super().__init__("org.kde.StatusNotifierItem")
+        self._icons = ""
+        with suppress(CushionError):  # without the file, the host shows a placeholder
+            self._icons = str(install_icon())
 
     Category = _fixed("Category", DBusStr, "Hardware")
     Id = _fixed("Id", DBusStr, NAME)
@@ -52,6 +61,10 @@ class Item(ServiceInterface):
     IconName = _fixed("IconName", DBusStr, NAME)
     ItemIsMenu = _fixed("ItemIsMenu", DBusBool, True)
     Menu = _fixed("Menu", DBusObjectPath, MENU_PATH)
+
+    @dbus_property(PropertyAccess.READ)
+    def IconThemePath(self) -> DBusStr:
+        return self._icons
 
 
 class Menu(ServiceInterface):
@@ -120,27 +133,37 @@ def _shown(entry: Entry) -> dict[str, Variant]:
 async def show(menu: Menu, timeout_s: float) -> MessageBus:
     """Show icon and menu in the tray; return the connection, which the caller closes.
 
-    NotFoundError: there is no session bus, or no StatusNotifier host.
+    They are shown again after the desktop's panel has restarted. NotFoundError: there is no session
+    bus, or no StatusNotifier host appears within HOST_S.
     """
     try:
         bus = await MessageBus(bus_type=BusType.SESSION).connect()
     except Exception as error:  # the library raises several kinds
         raise NotFoundError(f"no D-Bus session bus answers; {NO_HOST}") from error
-    bus.export(ITEM_PATH, Item("org.kde.StatusNotifierItem"))
+    bus.export(ITEM_PATH, Item())
     bus.export(MENU_PATH, menu)
     name = f"org.kde.StatusNotifierItem-{os.getpid()}-1"
     await bus.request_name(name)
-    call = Message(
-        destination=WATCHER,
-        path="/StatusNotifierWatcher",
-        interface=WATCHER,
-        member="RegisterStatusNotifierItem",
-        signature="s",
-        body=[name],
-    )
+    register = WATCHER, "/StatusNotifierWatcher", WATCHER, "RegisterStatusNotifierItem", name
+    is_shown = *register[:2], f"{BUS}.Properties", "Get", WATCHER, "IsStatusNotifierHostRegistered"
+
+    def register_again(message: Message) -> None:
+        if message.member == "NameOwnerChanged" and message.body[0] == WATCHER and message.body[2]:
+            bus.send(_call(*register))
+
+    bus.add_message_handler(register_again)
+    follow = f"sender='{BUS}',member='NameOwnerChanged',arg0='{WATCHER}'"
     async with asyncio.timeout(timeout_s):
-        answer = await bus.call(call)
-    if answer.message_type is MessageType.ERROR:
-        bus.disconnect()
-        raise NotFoundError(NO_HOST)
-    return bus
+        await bus.call(_call(BUS, "/org/freedesktop/DBus", BUS, "AddMatch", follow))
+        for _ in range(round(HOST_S / ASK_EVERY_S)):
+            answers = [await bus.call(_call(*one)) for one in (register, is_shown)]
+            are_errors = [one.message_type is MessageType.ERROR for one in answers]
+            if not any(are_errors) and answers[1].body[0].value:
+                return bus
+            await asyncio.sleep(ASK_EVERY_S)
+    bus.disconnect()
+    raise NotFoundError(NO_HOST)
+
+
+def _call(to: str, path: str, interface: str, member: str, *words: str) -> Message:
+    return Message(to, path, interface, member, signature="s" * len(words), body=[*words])

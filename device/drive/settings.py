@@ -79,8 +79,7 @@ class ActuatorSettings(Described):
         ),
     ] = SOURCES[0]
     rig: Annotated[
-        str | None,
-        Text(f"rig of this actuator: a name or a file{LIKE_ALL}", change="engine"),
+        str | None, Text(f"rig of this actuator: a name or a file{LIKE_ALL}", change="engine")
     ] = None
     gain_db: Annotated[float, Number("level", GAIN_MIN_DB, GAIN_MAX_DB, "dB")] = GAIN_MAX_DB
     polarity: Annotated[str, Choice("sign of its vibration", POLARITIES)] = POLARITIES[0]

@@ -49,8 +49,8 @@ class Rule:
 
     def distance(self, stream: Stream) -> int:
         """Return 0 for the application's name, 1 for another name of it, 2 for a pattern."""
-        own = app_name(stream).strip().casefold()
-        return 0 if self.name == own else 1 if self.name in self._names(stream) else 2
+        own, name = app_name(stream).strip().casefold(), self.name.replace("[[]", "[")
+        return 0 if name == own else 1 if name in self._names(stream) else 2
 
     def _names(self, stream: Stream) -> list[str]:
         names = (stream.application, stream.properties.get("application.id", ""))

@@ -13,11 +13,4 @@ a device. Only take_over.py detaches a kernel driver.
 from device.usb.identity import UsbIdentity, find_one, identify
 from device.usb.sysfs import Found, UsbAudioDevice, find_devices
 
-__all__ = [
-    "Found",
-    "UsbAudioDevice",
-    "UsbIdentity",
-    "find_devices",
-    "find_one",
-    "identify",
-]
+__all__ = ["Found", "UsbAudioDevice", "UsbIdentity", "find_devices", "find_one", "identify"]

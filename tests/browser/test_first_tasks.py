@@ -179,6 +179,13 @@ def test_the_sync_test_can_be_cancelled_and_then_changes_nothing(page):
     assert page.inner_text("[data-control='offset_ms']") == before
 
 
+def test_the_sync_test_needs_a_vibration_that_is_on(page):
+    page.click("#power")
+    wait_for(lambda: page.is_disabled("#sync"), "no test while it is switched off")
+    page.click("#power")
+    wait_for(lambda: page.is_enabled("#sync"), "the test again")
+
+
 def test_answers_of_a_person_lead_to_the_delay(page):
     found = page.evaluate(
         """async () => {

@@ -172,6 +172,23 @@ def test_undo_says_what_it_did_with_and_without_systemd(home, path, monkeypatch,
     assert not [file for file in home.rglob("*cushion*") if file.is_file()]
 
 
+@pytest.mark.parametrize("services", [(False,), (False, True), (True, False)], ids=str)
+def test_the_menu_has_the_page_until_the_first_setup_is_undone(
+    home: Path, path: Path, services: tuple[bool, ...]
+) -> None:
+    entry = home / "data/applications/haptic-cushion.desktop"
+    before = None
+    for number, with_service in enumerate(services):
+        text = f"gain_db = -{number}.0\n"
+        setup_files.write(path, before, text, with_service=with_service)
+        before = text
+        assert entry.exists()
+    for _ in services:
+        assert entry.exists()
+        setup_files.undo()
+    assert not [each for each in (home / "data").rglob("*") if each.is_file()]
+
+
 def test_a_config_that_changed_or_whose_backup_is_gone_is_left_alone(path: Path) -> None:
     path.write_text("gain_db = -1.0\n")
     with pytest.raises(UsageError, match="changed during the setup"):

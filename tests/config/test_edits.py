@@ -9,13 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from audioflinger_hook.config import file as config
-from audioflinger_hook.config.edits import (
-    EDITABLE,
-    RULE,
-    LiveEdits,
-    editable,
-    edited_text,
-)
+from audioflinger_hook.config.edits import EDITABLE, RULE, LiveEdits, editable, edited_text
 from device.errors import UsageError, WriteError
 
 TEXT = """# My cushion.

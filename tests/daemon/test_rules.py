@@ -153,6 +153,16 @@ def test_the_rule_of_an_applications_own_name_acts_before_patterns_unless_it_cha
         assert acting.rule == rule
 
 
+@pytest.mark.parametrize(
+    ("name", "match"), [("Film [4K", "Film [[]4K"), ("Film [4K]", "Film [4K]")]
+)
+def test_the_rule_of_a_name_with_a_bracket_acts_before_patterns(name, match):
+    own = ApplicationRule(match=match, profile="music")
+    acting = ActingRule()
+    acting.update(seen(stream(4, name)), config_of(replace(own, match="*"), own), "dac")
+    assert acting.rule == own
+
+
 EFFECTS = {"node.link-group": "effects"}
 EFFECT_SINK = Sink(5, "effects", "", "", 48_000, 2, None, EFFECTS)
 DESK_SINK = Sink(1, "desk", "", "desk.monitor", 48_000, 2, None, {})

@@ -57,7 +57,7 @@ LIFECYCLES = {
     ],
     "release of an effect that never ran sends no disable": ["release DESTROYED:"],
     "reset while active reaches the engine and it goes on": [
-        *(*ACTIVE, "RESET ACTIVE:RESET", "cycle ACTIVE:process"),
+        *(*ACTIVE, "RESET ACTIVE:RESET", "cycle ACTIVE:process")
     ],
     "commands do what the methods do": ["ENABLE STARTING:", "DISABLE IDLE:"],
 }

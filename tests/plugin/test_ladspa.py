@@ -256,9 +256,7 @@ def test_another_design_takes_over_by_a_cross_fade_once_it_heard_the_sound(
     assert got[-1_024:].tobytes() == wanted[-1_024:].tobytes()
 
 
-def test_a_design_that_cannot_be_used_is_refused_and_the_old_one_plays_on(
-    daemon: Daemon,
-) -> None:
+def test_a_design_that_cannot_be_used_is_refused_and_the_old_one_plays_on(daemon: Daemon) -> None:
     page, instance = daemon(UNDRIVEN, 2, 1, [0])
     page.set_audible(True)
     sound = padded(any_sound(np.random.default_rng(6), RATE_HZ, 1_024, 2))

@@ -11,14 +11,7 @@ from device.units import Float32Array, FloatArray
 from tests.servers.conftest import QUANTUM
 from tests.servers.daemons import cushion, running, tone
 from tests.servers.listening import RATE_HZ, Arrivals, arriving, more, playing, recording, wait_for
-from tests.servers.slow_sinks import (
-    BEHIND,
-    SLOW,
-    DeclaringSink,
-    add_tunnel,
-    delaying_sink,
-    lags_ms,
-)
+from tests.servers.slow_sinks import BEHIND, SLOW, DeclaringSink, add_tunnel, delaying_sink, lags_ms
 from tests.servers.witness import CLICK_DB, above_250_hz
 from tests.service.test_watch import Client
 from tools.live_latency.bursts import APART_S, LEAD_S, GraphOnce, burst_delays, burst_sound
@@ -144,10 +137,7 @@ def test_a_delay_that_cannot_be_is_told_once_and_ignored(timed_pipewire, slow, d
 
 
 def test_where_nothing_is_declared_the_offset_is_0_and_sync_is_offered(server):
-    with (
-        playing(server, "desktop", tone(60.0, 60.0)),
-        running(server, engine=None) as daemon,
-    ):
+    with playing(server, "desktop", tone(60.0, 60.0)), running(server, engine=None) as daemon:
         status = daemon.wait_ready()
         shown = cushion(server, "status").stdout
     assert (status.offset_ms, status.offset_reason) == (0.0, UNKNOWN)
@@ -192,10 +182,7 @@ def test_pulseaudios_latency_of_a_tunnel_is_in_the_offset(pulse):
     count = 18
     add_tunnel(pulse, 0.15)
     pulse.choose_default(SLOW)
-    with (
-        playing(pulse, SLOW, tone(60.0, 60.0, level=0.0)),
-        running(pulse) as daemon,
-    ):
+    with playing(pulse, SLOW, tone(60.0, 60.0, level=0.0)), running(pulse) as daemon:
         daemon.wait(lambda one: one.offset_reason == DECLARED, "the declared delay")
         with (
             arriving(pulse, f"{BEHIND}.monitor") as heard,

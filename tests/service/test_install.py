@@ -219,5 +219,5 @@ def test_the_command_installs_the_rule_as_it_is(tmp_path):
     assert int(Path(UDEV_PATH).name[:2]) < 73  # the rule that gives access away
     assert target.read_text() == UDEV_RULE
     assert done.stdout.splitlines() == [
-        *("udevadm control --reload", "udevadm trigger --subsystem-match=usb --action=change"),
+        *("udevadm control --reload", "udevadm trigger --subsystem-match=usb --action=change")
     ]

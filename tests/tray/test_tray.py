@@ -1,19 +1,24 @@
 """The tray icon, beside a private session bus with a stand-in for the desktop's tray."""
 
 import asyncio
+import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Mapping
+from contextlib import AsyncExitStack, asynccontextmanager, nullcontext, suppress
 
 import pytest
 
 pytest.importorskip("dbus_fast")
 
-from dbus_fast import Message, Variant
+from dbus_fast import Message, PropertyAccess, Variant
 from dbus_fast.aio import MessageBus
-from dbus_fast.annotations import DBusStr
-from dbus_fast.service import ServiceInterface, dbus_method
+from dbus_fast.annotations import DBusBool, DBusStr
+from dbus_fast.service import ServiceInterface, dbus_method, dbus_property
 
+from audioflinger_hook.service.desktop_entry import icon_bytes
+from audioflinger_hook.tray import item
 from audioflinger_hook.tray.item import MENU_PATH, WATCHER, Menu, show
 from audioflinger_hook.tray.menu import Entry, entries
 from device.errors import NotFoundError
@@ -26,17 +31,55 @@ ICON = "/StatusNotifierItem", "org.freedesktop.DBus.Properties"
 
 
 class Watcher(ServiceInterface):
-    def __init__(self):
+    """The desktop's watcher. hosts_after: number of questions until a host is registered."""
+
+    def __init__(self, hosts_after=0):
         super().__init__(WATCHER)
         self.names = []
+        self.hosts_after = hosts_after
 
     @dbus_method()
     def RegisterStatusNotifierItem(self, name: DBusStr) -> None:
         self.names.append(name)
 
+    @dbus_property(PropertyAccess.READ)
+    def IsStatusNotifierHostRegistered(self) -> DBusBool:
+        self.hosts_after -= 1
+        return bool(self.hosts_after < 0)
+
+
+@asynccontextmanager
+async def desktop_with(watcher):
+    desktop = await MessageBus().connect()
+    desktop.export("/StatusNotifierWatcher", watcher)
+    await desktop.request_name(WATCHER)
+    try:
+        yield desktop
+    finally:
+        desktop.disconnect()
+        with suppress(EOFError):
+            await desktop.wait_for_disconnect()
+
+
+@asynccontextmanager
+async def shown():
+    bus = await show(Menu(lambda _: None), 5.0)
+    yield
+    bus.disconnect()
+    await bus.wait_for_disconnect()
+
+
+async def holds(condition):
+    """Wait until the condition holds."""
+    async with asyncio.timeout(20.0):
+        while not condition():
+            await asyncio.sleep(0.01)
+
 
 @pytest.fixture
-def bus_address(monkeypatch):
+def session(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    monkeypatch.setattr(item, "HOST_S", 0.5)
     if shutil.which("dbus-daemon") is None:
         pytest.skip("dbus-daemon is not installed")
     command = ["dbus-daemon", "--session", "--nofork", "--print-address"]
@@ -44,7 +87,7 @@ def bus_address(monkeypatch):
         assert daemon.stdout is not None
         address = daemon.stdout.readline().strip()
         monkeypatch.setenv("DBUS_SESSION_BUS_ADDRESS", address)
-        yield address
+        yield daemon
         daemon.terminate()
 
 
@@ -54,29 +97,32 @@ async def asked(bus, to, member, signature, *body, of=MENU):
     return (await asyncio.wait_for(bus.call(message), 5.0)).body
 
 
-def test_the_tray_shows_the_menu_and_a_click_asks_the_daemon(bus_address):
+def test_the_tray_shows_the_menu_and_a_click_asks_the_daemon(session, tmp_path):
     async def converse():
-        desktop = await MessageBus(bus_address=bus_address).connect()
-        watcher = Watcher()
-        desktop.export("/StatusNotifierWatcher", watcher)
-        await desktop.request_name(WATCHER)
+        async with desktop_with(Watcher()) as desktop:
+            return await use(desktop)
+
+    async def use(desktop):
         requests: list[Mapping[str, object]] = []
         menu = Menu(requests.append)
         menu.show(entries(SETTINGS))
         bus = await show(menu, 5.0)
-        (name,) = watcher.names
-        item = "org.kde.StatusNotifierItem"
-        (properties,) = await asked(desktop, name, "GetAll", "s", item, of=ICON)
+        name = f"org.kde.StatusNotifierItem-{os.getpid()}-1"
+        kind = "org.kde.StatusNotifierItem"
+        (properties,) = await asked(desktop, name, "GetAll", "s", kind, of=ICON)
         assert {key: one.value for key, one in properties.items()} == {
             "Category": "Hardware",
             "Id": "haptic-cushion",
             "Title": "Haptic Cushion",
             "Status": "Active",
             "IconName": "haptic-cushion",
+            "IconThemePath": str(tmp_path / "data/icons"),
             "ItemIsMenu": True,
             "Menu": MENU_PATH,
         }
         assert properties["Menu"].signature == "o"
+        icon_path = tmp_path / "data/icons/hicolor/scalable/apps/haptic-cushion.svg"
+        assert icon_path.read_bytes() == icon_bytes()
         _, (_, _, children) = await asked(desktop, name, "GetLayout", "iias", 0, -1, [])
         labels = {child.value[1]["label"].value: child.value for child in children}
         assert labels["Vibration on"][1]["toggle-state"].value == 1
@@ -85,16 +131,78 @@ def test_the_tray_shows_the_menu_and_a_click_asks_the_daemon(bus_address):
             event = (labels[label][0], "clicked", Variant("i", 0), 0)
             await asked(desktop, name, "Event", "isvu", *event)
         bus.disconnect()
-        desktop.disconnect()
         return requests
 
     weaker, cinema = {"set": {"gain_db": -9.0}}, {"set": {"profile": "cinema"}}
     assert asyncio.run(converse()) == [{"mute": True}, weaker, cinema]
 
 
-def test_without_a_host_it_says_so_and_that_the_vibration_goes_on(bus_address):
-    with pytest.raises(NotFoundError, match=r"no StatusNotifier host answers.*vibration goes on"):
-        asyncio.run(show(Menu(lambda _: None), 5.0))
+@pytest.mark.parametrize("has_watcher", [False, True])
+def test_without_a_host_it_says_so_and_that_the_vibration_goes_on(session, has_watcher):
+    async def converse():
+        watcher = Watcher(hosts_after=1_000)
+        async with desktop_with(watcher) if has_watcher else nullcontext(), shown():
+            pass
+
+    with pytest.raises(
+        NotFoundError, match=r"no StatusNotifier host answers.*the vibration goes on"
+    ):
+        asyncio.run(converse())
+
+
+def test_at_login_it_waits_for_a_host(session):
+    async def start_late(watcher):
+        await asyncio.sleep(0.15)
+        async with desktop_with(watcher):
+            await holds(lambda: watcher.hosts_after < 0)
+            await asyncio.sleep(0.1)
+
+    async def converse():
+        desktop = asyncio.ensure_future(start_late(Watcher(hosts_after=1)))
+        async with shown():
+            await desktop
+
+    asyncio.run(converse())
+
+
+def test_the_icon_returns_after_the_panel_restarts(session):
+    async def converse():
+        restarted = Watcher()
+        async with AsyncExitStack() as stack:
+            async with desktop_with(Watcher()):
+                await stack.enter_async_context(shown())
+            async with desktop_with(restarted):
+                await holds(lambda: restarted.names)
+
+    asyncio.run(converse())
+
+
+def test_the_end_of_the_session_ends_the_tray_without_a_message(session, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+
+    async def converse():
+        watcher = Watcher()
+        async with desktop_with(watcher):
+            command = [sys.executable, "-m", "audioflinger_hook", "tray"]
+            tray = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+            await holds(lambda: watcher.names and watcher.hosts_after < 0)
+            await asyncio.sleep(0.2)
+            session.terminate()
+            with tray:
+                output, _ = await asyncio.to_thread(tray.communicate, timeout=20.0)
+                return tray.returncode, output
+
+    assert asyncio.run(converse()) == (0, b"")
+
+
+def test_an_icon_that_cannot_be_written_is_left_to_the_desktop(session, tmp_path):
+    (tmp_path / "data").write_text("in the way of a folder")
+
+    async def converse():
+        async with desktop_with(Watcher()), shown():
+            pass
+
+    asyncio.run(converse())
 
 
 def test_without_a_session_bus_it_says_so(monkeypatch, tmp_path):

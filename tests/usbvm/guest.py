@@ -61,15 +61,17 @@ def await_cards(count: int) -> list[UsbAudioDevice]:
         time.sleep(POLL_S)
 
 
-def sound(seconds: float) -> str:
-    """A tap of three tones that swell, each at its own pace, and never fall silent."""
+def sound(seconds: float, times: int = 1) -> str:
+    """A tap of three tones that swell, each at its own pace, and never fall silent; repeated."""
     time_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     tones = ((97.0, 0.31), (430.0, 0.73), (1_900.0, 1.17))
     waves = sum(
         0.2 * (1.3 + np.sin(2 * np.pi * pace_hz * time_s)) * np.sin(2 * np.pi * hz * time_s)
         for hz, pace_hz in tones
     )
-    soundfile.write(SOUND, np.asarray(waves, np.float32), RATE_HZ, subtype="FLOAT")
+    with soundfile.SoundFile(SOUND, "w", RATE_HZ, 1, subtype="FLOAT") as file:
+        for _ in range(times):
+            file.write(np.asarray(waves, np.float32))
     return f"file:{SOUND}"
 
 
@@ -186,7 +188,7 @@ def pulled(folder: Path) -> dict[str, Any]:
     (device,) = devices(1)
     full_volume(device["hw"][0])
     name = device["device"].partition("@")[0]
-    run = Run(sound(60.0), "--device", name)
+    run = Run(sound(30.0, 12), "--device", name)  # time may leap by minutes
     run.wait(lambda status: status["state"] == "running")
     time.sleep(3.0)
     first = count_real_time(run.process.pid)

@@ -13,6 +13,8 @@ const PROFILES = {
   cinema: "for films and series", game: "earlier, for games", music: "bass and rhythm", speech: "the syllables of voices",
   paper: "the published method, unchanged",
 };
+/** Names of profiles: those above first, in their order. */
+export const ordered = (names) => [...new Set([...Object.keys(PROFILES).filter((one) => names.includes(one)), ...names])];
 const UNITS = /_(db|ms|hz|s|frames)$/;
 const PAUSE_MS = 60; // between two changes while a slider is moved
 
@@ -144,8 +146,7 @@ class Control {
   }
 
   choices(id, words) {
-    const known = Object.keys(PROFILES);
-    if (this.key.key === "profile") words = [...known.filter((word) => words.includes(word)), ...words.filter((word) => !known.includes(word))];
+    if (this.key.key === "profile") words = ordered(words);
     const inputs = words.map((word, index) => {
       const input = element("input", { type: "radio", name: id, value: word, ...(index ? {} : { id }) });
       input.onchange = () => this.set(word);

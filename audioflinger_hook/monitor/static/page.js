@@ -1,6 +1,6 @@
 // The page: what the daemon tells is kept, and drawn with the screen.
 
-import { Applications } from "/applications.js";
+import { Applications, nameOf } from "/applications.js";
 import { Connection } from "/connection.js";
 import { Controls } from "/controls.js";
 import { still } from "/drawing.js";
@@ -65,12 +65,13 @@ function showFrame(content) {
 function showState() {
   const [word, tone] = status ? STATES[status.state] ?? [status.state, "wait"] : link.connected ? ["Connecting", "wait"] : ["Not connected", "bad"];
   const ends = status && `${(status.tap.name ?? status.tap.address).replace(/\.monitor$/, "")} is felt on ${status.device.name ?? status.device.address}`;
-  const isOff = status && settings?.muted, names = [...controls.unsaved, ...settings?.unsaved_rules ?? []];
+  const isOff = status && settings?.muted, names = [...controls.unsaved, ...(settings?.unsaved_rules ?? []).map(nameOf)];
   find("state-word").textContent = isOff ? `${word}, switched off` : word;
   find("state-text").textContent = status ? status.reason || ends : link.text;
   find("state").dataset.tone = isOff ? "wait" : tone;
   document.body.dataset.stale = !status;
-  for (const id of ["power", "tone", "sync"]) find(id).disabled = !status;
+  for (const id of ["power", "tone"]) find(id).disabled = !status;
+  find("sync").disabled = !["running", "idle"].includes(status?.state) || settings?.muted; // a trial must be felt
   find("undo").disabled = !status || !settings?.undo;
   find("save").disabled = !status || !settings?.unsaved;
   find("unsaved").textContent = !status ? "No connection" : settings?.unsaved ? `Not saved: ${names.join(", ")}` : "All is saved";

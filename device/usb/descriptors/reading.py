@@ -4,12 +4,7 @@ import struct
 from dataclasses import dataclass, replace
 from itertools import chain
 
-from device.usb.descriptors.audio_class import (
-    read_entity,
-    read_format,
-    read_general,
-    read_header,
-)
+from device.usb.descriptors.audio_class import read_entity, read_format, read_general, read_header
 from device.usb.descriptors.blocks import (
     ASSOCIATION,
     CONFIGURATION,

@@ -76,8 +76,7 @@ def scenes(duration_s):
 
 # 10 scenes of 15 s at six tolerances, 1 500 blocks at each; in `make soak` of 40 s.
 @pytest.mark.parametrize(
-    "duration_s",
-    [5, pytest.param(15, marks=EXHAUSTIVE), pytest.param(40, marks=pytest.mark.soak)],
+    "duration_s", [5, pytest.param(15, marks=EXHAUSTIVE), pytest.param(40, marks=pytest.mark.soak)]
 )
 @pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=lambda rig: rig.name)
 @pytest.mark.parametrize("scene", [*scenes(5), "swell on a seat"])
