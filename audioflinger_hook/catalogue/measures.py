@@ -92,7 +92,8 @@ def _weighted_gain(rig: str, rate: int, frames: int) -> FloatArray:
     response, step_hz = _weighted_response(rig)
     frequencies = np.arange(frames // 2 + 1) * (rate / frames)
     frequencies = frequencies[frequencies < HIGHEST_HZ]
-    return np.interp(frequencies, np.arange(len(response)) * step_hz, response)
+    gain: FloatArray = np.interp(frequencies, np.arange(len(response)) * step_hz, response)
+    return gain
 
 
 @lru_cache(maxsize=4)

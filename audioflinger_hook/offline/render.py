@@ -135,13 +135,13 @@ def render(
         faded = [FadedOutput(output, round(fade_s * rate)) for output in outputs]
         drives = [drive_of(settings, rate, framework.haptic_channels) for _ in faded]
         driven = []
-        for output, drive in zip(faded, drives, strict=True):
+        for after, drive in zip(faded, drives, strict=True):
             # A delayed actuator first plays frames from before the sound, so these are removed
             # after the drive.
             late = framework.latency_frames if drive.sources else 0
-            aligned = AlignedOutput(output, drive.latency_frames + late)
-            one = DrivenOutput(aligned, drive, channel_map)
-            driven.append(AlignedOutput(one, framework.latency_frames - late))
+            aligned = AlignedOutput(after, drive.latency_frames + late)
+            before = DrivenOutput(aligned, drive, channel_map)
+            driven.append(AlignedOutput(before, framework.latency_frames - late))
         chain = Pipeline(client, framework, driven)
         take = observe(framework) if observe else None
         frames = 0
