@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 from audioflinger_hook.catalogue import addresses
 from audioflinger_hook.catalogue.addresses import is_url, scrubbed
 from audioflinger_hook.config.profiles import PROFILES
-from device.values import Choice, Described, Description, Number, Refusal, Text
+from device.values import Choice, Described, Number, Refusal, Text
 
 LONGEST_S = 1e7
 RESERVED = re.compile(r"catalogue|failed(-\d+-of-\d+)?")  # names of files that a run writes itself
@@ -69,10 +69,8 @@ class _Name(Text):
 
 
 @dataclass(frozen=True)
-class _Channels(Description):
-    @property
-    def allowed(self) -> str:
-        return "mono, each, or channel numbers counted from 0"
+class _Channels(Text):
+    grammar: str = "mono, each, or channel numbers counted from 0"
 
     def refuse(self, value: object) -> Refusal | None:
         numbers = value if isinstance(value, tuple) else ()
@@ -189,11 +187,7 @@ def _meant(name: str) -> str:
 
 def _from_lhotse(row: dict[str, Any]) -> dict[str, Any]:
     """Return the row, with the key "audio" if it is a recording or cut of the library lhotse."""
-    recording = row.get("recording", row)
-    sources = recording.get("sources") if isinstance(recording, dict) else None
-    if not isinstance(sources, list) or len(sources) != 1 or not isinstance(sources[0], dict):
-        return row
-    source = sources[0]
-    if source.get("type") not in ("file", "url"):
-        return row
-    return {**row, "audio": source.get("source")}
+    match row.get("recording", row):
+        case {"sources": [{"type": "file" | "url", **source}]}:
+            return {**row, "audio": source.get("source")}
+    return row

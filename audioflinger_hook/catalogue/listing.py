@@ -1,7 +1,6 @@
 """Search for sounds in local folders."""
 
 import fnmatch
-import glob
 import os
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
@@ -44,13 +43,6 @@ def is_same(path: str, other: str) -> bool:
         return Path(path).samefile(other)
     except (OSError, ValueError):  # a path is a URL or does not exist
         return False
-
-
-def fixed_part(pattern: str) -> str:
-    """Return the path of the last folder before the first wildcard of a glob."""
-    parts = pattern.split("/")
-    first = next(index for index, part in enumerate(parts) if glob.has_magic(part))
-    return "/".join(parts[:first])
 
 
 def matches(path: list[str], pattern: list[str]) -> bool:

@@ -9,10 +9,11 @@ import os
 import tempfile
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import lru_cache
 from hashlib import blake2b
+from itertools import takewhile
 from pathlib import Path
 from struct import Struct
 from typing import IO, Any
@@ -103,8 +104,11 @@ class Manifest:
         if not named:
             values["id"] = default_id(str(audio), values.get("start_s"), self._root)
         values["line"] = line
-        if isinstance(audio, str):
-            values["audio"] = self._absolute(audio)
+        if audio and isinstance(audio, str):
+            # Relative paths start at the manifest's folder, which may be a URL.
+            inside = not (is_url(audio) or audio.startswith("/"))
+            whole = f"{self._folder}/{audio}" if inside else audio
+            values["audio"] = whole if is_url(whole) else os.path.normpath(whole)
         try:
             item = Item(**values)
         except (UsageError, TypeError):
@@ -116,15 +120,6 @@ class Manifest:
         if self._is_in_out(item.audio):
             return None, [f"audio={shown(item.audio)} is in the output folder; name another"]
         return item, []
-
-    def _absolute(self, audio: str) -> str:
-        """Return a sound's URL or absolute path. Relative paths start at the manifest's folder."""
-        if not audio or is_url(audio):
-            return audio
-        if audio.startswith("/"):
-            return os.path.normpath(audio)
-        joined = f"{self._folder}/{audio}"
-        return joined if is_url(joined) else os.path.normpath(joined)
 
     def _is_in_out(self, audio: str) -> bool:
         if f"{audio}/".startswith(f"{self.out}/"):
@@ -152,7 +147,8 @@ class Manifest:
             self._root, self.is_listing = f"{path}/", True
             return "folder"
         if not there and glob.has_magic(path):
-            self._root, self.is_listing = f"{listing.fixed_part(path)}/", True
+            fixed = takewhile(lambda part: not glob.has_magic(part), path.split("/"))
+            self._root, self.is_listing = f"{'/'.join(fixed)}/", True
             return "glob"
         if not there:
             raise UsageError(f"{self._name} does not exist; give a manifest, a folder or a glob")
@@ -166,25 +162,20 @@ class Manifest:
             yield from ((number, {"audio": audio}) for number, audio in enumerate(self._found(), 1))
             return
         try:
-            with self._opened() as file:
+            with ExitStack() as stack:
+                if self._remote:
+                    filesystem, inside = self._remote
+                    # The `readline` of fsspec's file objects ignores its length limit.
+                    file: Any = io.BufferedReader(stack.enter_context(filesystem.open(inside)))
+                else:
+                    file = stack.enter_context(Path(self.address).open("rb"))
+                if self.address.endswith(".gz"):
+                    file = stack.enter_context(gzip.GzipFile(fileobj=file))
                 rows = self._csv if self._sources == "csv" else self._lines
                 yield from rows(file, mistakes)
         except (OSError, EOFError, UnicodeDecodeError, zlib.error) as error:
             said = scrubbed(getattr(error, "strerror", None) or str(error))
             raise UsageError(f"{self._name} cannot be read ({said})") from None
-
-    @contextmanager
-    def _opened(self) -> Iterator[IO[bytes]]:
-        with ExitStack() as stack:
-            if self._remote:
-                filesystem, inside = self._remote
-                # The `readline` of fsspec's file objects ignores its length limit.
-                raw: Any = io.BufferedReader(stack.enter_context(filesystem.open(inside, "rb")))
-            else:
-                raw = stack.enter_context(Path(self.address).open("rb"))
-            if self.address.endswith(".gz"):
-                raw = stack.enter_context(gzip.GzipFile(fileobj=raw))
-            yield raw
 
     def _lines(self, file: IO[bytes], mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
         for line, text in enumerate(iter(lambda: file.readline(LINE_MAX), b""), 1):

@@ -126,17 +126,15 @@ class Failures(AbstractContextManager["Failures"]):
 
     def __init__(self) -> None:
         self._file = NamedTemporaryFile("w", encoding="ascii", prefix="cushion-")  # noqa: SIM115
-        self.count = 0
 
     def add(self, outcome: Outcome) -> None:
         """Add an item that failed."""
         row = {**outcome.item.row(), "error": outcome.error, "exit_code": outcome.exit_code}
         self._file.write(json.dumps(row) + "\n")
-        self.count += 1
 
     def save(self, storage: Storage, name: str) -> None:
         """Store the manifest as `name`. If no item failed, delete an earlier run's manifest."""
-        if not self.count:
+        if not self._file.tell():
             storage.delete(name)
             return
         self._file.flush()

@@ -26,6 +26,10 @@ BUNDLE = "haptic-cushion.lv2"
 CHAIN = "haptic-cushion.conf"
 HOST = "filter-chain.conf"
 HOST_FOLDERS = (Path("/usr/share/pipewire"), Path("/etc/pipewire"))
+LOADING_COMMANDS = (  # load the PipeWire configuration now, and at every login
+    "pipewire -c filter-chain.conf",
+    "systemctl --user enable --now filter-chain.service",
+)
 
 
 @dataclass(frozen=True)
@@ -128,12 +132,6 @@ def remove(places: Places) -> list[Path]:
         with suppress(OSError):  # the folder contains other files, or does not exist
             folder.rmdir()
     return removed
-
-
-def loading_commands() -> tuple[str, str]:
-    """Return two commands that load the PipeWire configuration: now, and at every login."""
-    now = "pipewire -c filter-chain.conf"
-    return now, "systemctl --user enable --now filter-chain.service"
 
 
 def _filled(name: str, **values: str) -> bytes:
