@@ -270,8 +270,8 @@ MUTATIONS = (
     Mutation(
         "settings of a USB device are restored",
         "device/usb/guardian.py",
-        "        control.restore(\n",
-        "        ControlState.__call__ and (lambda _state: None)(\n",
+        'control.restore(ControlState(volumes, mutes, state["samplerate"]))',
+        "pass",
         GIVEN_BACK,
     ),
     Mutation(

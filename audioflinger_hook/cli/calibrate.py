@@ -9,11 +9,12 @@ from pathlib import Path
 
 from audioflinger_hook.cli.terminal import progress_bar, warn
 from device.address import parse_device
+from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError
 from device.identification.acceleration import Mode
 from device.identification.calibration import STEPS, Calibration, calibrate
 from device.identification.live.laboratory import Devices
-from device.identification.mechanics import write_rig
+from device.identification.mechanics import format_rig
 from device.identification.output_error import Estimate
 from device.identification.recording import Sweep
 from device.identification.simulated_laboratory import USUAL_SHARE, SimulatedLaboratory
@@ -85,7 +86,7 @@ def _check_out(path: Path | None) -> None:
 
 def _end(found: Calibration, rig: Rig, devices: Devices | None, options: argparse.Namespace) -> int:
     if options.out and found.rig:
-        write_rig(found.rig, options.out)
+        write_bytes_atomically(options.out, format_rig(found.rig).encode())
     if options.json:
         print(json.dumps(document(found, rig, devices), indent=2))
     else:

@@ -27,7 +27,7 @@ class DrivenRig:
         self, design: DriveDesign, controls: Controls, readings: Readings, slots: range
     ) -> None:
         self.design, self.rig, self.exposure_cap = design, design.rig, design.exposure_cap
-        self.knows_seat, self.makeup_db = design.knows_seat, design.makeup_db
+        self.knows_seat, self.makeup_db = design.rig.seat is not None, design.makeup_db
         self.latency_frames = design.latency_frames
         self.channels = len(slots)
         self._core_controls, self._core_readings = controls, readings

@@ -256,9 +256,8 @@ class DelayLine:
         self._joint.apply(out[played:])
         ppm = 1e6 * (self._step / self._nominal_step - 1.0)
         counts = self._resyncs, self._underflows, self._overflows
-        target = self._target
-        known = *counts, self._state, target.offset_s
-        self.status = DelayStatus(target.current_s, self._delay_s, ppm, *known)
+        known = ppm, *counts, self._state, self._target.offset_s
+        self.status = DelayStatus(self._target.current_s, self._delay_s, *known)
         return filled
 
     def _steer(

@@ -271,14 +271,9 @@ def fit_with_extras(
     return found, chosen, found.cost + paid
 
 
-def relative_width(estimate: Estimate) -> float:
-    """Return half of an estimate's interval over its value; infinite if it has no upper end."""
-    return estimate.relative if math.isfinite(estimate.high) else math.inf
-
-
 def require(name: str, estimate: Estimate, relative: float, advice: str) -> None:
     """Raise IdentificationError if an estimate's interval is wider than ±`relative`."""
-    width = relative_width(estimate)
+    width = estimate.relative
     if not width <= relative:
         raise IdentificationError(
             f"{name} is not identified: its interval of 95 % is ±{100 * width:.3g} %, at most "

@@ -117,10 +117,9 @@ def find_devices(root: Path = ROOT) -> Found:
     for name in names:
         if match := _INTERFACE.fullmatch(name):
             interfaces[match["port"]].append(bus / name)
-    found = (
-        _device(root, name, sorted(interfaces[name]), cards)
-        for name in sorted(filter(_PORT.fullmatch, names), key=_in_order)
-    )
+    # sorted by numbers: 1-10 follows 1-2
+    ports = sorted(filter(_PORT.fullmatch, names), key=lambda p: [*map(int, re.split("[-.]", p))])
+    found = (_device(root, port, sorted(interfaces[port]), cards) for port in ports)
     devices = tuple(filter(None, found))
     return Found(devices, _why_none_plays(devices))
 
@@ -218,11 +217,6 @@ def _cards(root: Path) -> dict[str, list[AlsaCard]]:
         name = _text(root / f"proc/asound/card{number}/id") or _text(sound / f"card{number}/id")
         cards[str(usb)].append(AlsaCard(number, name, tuple(sorted(playback[number]))))
     return cards
-
-
-def _in_order(port: str) -> list[int]:
-    """Return a sort key for ports, by which 1-10 follows 1-2."""
-    return [int(number) for number in re.split("[-.]", port)]
 
 
 def _bytes(path: Path) -> bytes:

@@ -37,7 +37,7 @@ from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.service.state import StateKeeper
 from device.drive import ActuatorSettings
 from device.drive.channel_positions import actuators_of_channels
-from device.drive.design import DriveDesign, DrivePlan
+from device.drive.design import DriveDesign, DrivePlan, design_of
 from device.errors import LostError, NotFoundError, UsageError
 from device.layouts import layout
 from device.server import PulseConnection
@@ -289,7 +289,7 @@ def test_designs_of_a_process_are_those_that_would_be_made_here():
     for plan, design in ((PAPER, found[0]), (CONSUMER, found[2])):
         assert plan
         assert design
-        here = plan.design()
+        here = design_of(plan)
         assert (design, design.worst_second) == (here, here.worst_second)
         assert design.bounds().warmest == here.bounds().warmest
         for name, value in here.records.items():

@@ -9,7 +9,7 @@ import numpy as np
 from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.co_energy import Energies, energies, linear_energies
+from device.rig.co_energy import Energies, energies
 from device.rig.parameters import Model
 from tools.bench.machine import cpu_model
 from tools.bench.sounds.signals import SAMPLERATE
@@ -84,7 +84,7 @@ def stored_energy_j(e: Energies, x: FloatArray, i: FloatArray) -> FloatArray:
 def energy_of(model: Model) -> Energy:
     """Return a rig at rest that moves by one model."""
     p = PAPER.actuator
-    e = linear_energies(p) if model == "linear" else energies(p, PAPER.large_signal)
+    e = energies(p, None if model == "linear" else PAPER.large_signal)
     actuator = AdaptiveActuator(PAPER, SAMPLERATE, model=model)
 
     def moved(volts: FloatArray) -> FloatArray:

@@ -34,7 +34,6 @@ _JUNK = re.compile(
 _BYTES_OF_PREFIX = {"w": 2, "wa": 2, "t": 3, "d": 4, "dw": 4, "id": 2, "bcd": 2}
 _SUPER_SPEED = 0x0300
 
-
 # a comment, or the text that hexdump -C prints after a bar, whichever begins first
 _COMMENT = re.compile(r"/\*.*?(?:\*/|$)|(?:#|//|;|\|).*")
 

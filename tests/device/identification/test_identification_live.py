@@ -13,7 +13,7 @@ from device.identification.calibration import STEPS, calibrate
 from device.identification.live.exchange import Exchange
 from device.identification.live.laboratory import MOST_TRIES, Inputs, LiveLaboratory
 from device.identification.live.two_clocks import find_delay, find_drift, resample_to_played
-from device.identification.mechanics import write_rig
+from device.identification.mechanics import format_rig
 from device.identification.output_error import Estimate
 from device.identification.recording import Excitation, Sweep
 from device.identification.transfer import assess_quality
@@ -94,7 +94,7 @@ def hum_of(hz, level, harmonics=(1, 3), channel="acceleration"):
 def test_acceleration_current_and_voltage_give_the_whole_actuator_in_its_file(rig, tmp_path):
     found = calibrated(SimulatedDevices(rig, ALL, drift_ppm=60.0), rig)
     assert len(found.values) == (7 if rig is PAPER else 8)  # one has no source impedance
-    write_rig(found.rig, tmp_path / "mine.toml")
+    (tmp_path / "mine.toml").write_text(format_rig(found.rig))
     again = read_rig(tmp_path / "mine.toml")
     assert again == found.rig
     for parameter, estimate in found.values.items():

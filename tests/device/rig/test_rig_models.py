@@ -16,7 +16,7 @@ from device.errors import UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.actuator import QUANTITIES, LinearActuator
 from device.rig.adaptive_actuator import STATE_NUMBERS, AdaptiveActuator, ModelDesign
-from device.rig.co_energy import Arctangent, Hardening, Line, Stops, Tanh, energies, linear_energies
+from device.rig.co_energy import Arctangent, Hardening, Line, Stops, Tanh, energies
 from device.rig.equations import Equations
 from tests.support.rig_soak import stored_energy_j
 from tools.bench.measures.solved_motion import solved_motion
@@ -167,7 +167,7 @@ def test_no_step_makes_more_than_a_millionth_of_the_energy_that_it_handles(rig, 
 def test_the_linear_model_is_passive_on_random_drives():
     volts = np.random.default_rng(6).standard_normal(1_000)
     actuator = AdaptiveActuator(PAPER, 32 * FS, model="linear")
-    surplus_j, _, through_j = balance_of(actuator, linear_energies(PAPER.actuator), volts, 32)
+    surplus_j, _, through_j = balance_of(actuator, energies(PAPER.actuator, None), volts, 32)
     assert abs(surplus_j.sum()) <= 1e-6 * through_j
 
 
