@@ -1,5 +1,7 @@
 """A synthesised chord: an arpeggio on a piano with sustained strings."""
 
+from __future__ import annotations  # numpy.random takes memory
+
 import numpy as np
 
 from audioflinger_hook.scenes.shaping import band, curve, finished, pan, phase, ring, room, times_s

@@ -5,6 +5,8 @@ which is two revolutions of the crankshaft. Eight cylinders fire in each cycle, 
 16 and so on are loud. Uneven firing of the two cylinder banks produces the other orders.
 """
 
+from __future__ import annotations  # numpy.random takes memory
+
 import math
 
 import numpy as np

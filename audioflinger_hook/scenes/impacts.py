@@ -1,5 +1,7 @@
 """Synthesised impacts: footsteps on gravel, and an explosion with falling debris."""
 
+from __future__ import annotations  # numpy.random takes memory
+
 import numpy as np
 
 from audioflinger_hook.scenes.shaping import band, curve, finished, pan, phase, ring, room, times_s

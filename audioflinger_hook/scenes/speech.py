@@ -4,6 +4,8 @@ The source-filter model (G. Fant, "Acoustic Theory of Speech Production", 1960) 
 with the formants of the vocal tract. Consonants are band-passed noise.
 """
 
+from __future__ import annotations  # numpy.random takes memory
+
 from typing import NamedTuple
 
 import numpy as np
