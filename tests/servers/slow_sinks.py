@@ -117,4 +117,8 @@ def lags_ms(heard: Arrivals, felt: Arrivals, after_s: float) -> list[float]:
             continue
         first = at - near + int(np.argmax(part >= 0.5 * part.max()))
         found.append(1e3 * (felt.at_s(first) - heard_s))
+    peaks = np.abs(sound).max(initial=0.0), vibration.max(initial=0.0)
+    print(
+        f"{len(found)} bursts are felt; peaks of sound and vibration {peaks[0]:.2f}, {peaks[1]:.2f}"
+    )
     return found
