@@ -123,9 +123,16 @@ def test_the_haptic_sink_as_default_is_named_with_the_command(server) -> None:
     assert "wrong-default-sink" not in visit(server).names
 
 
+def mute(server: SoundServer, volume: str) -> None:
+    """Mute the device at a volume; on PipeWire 1.4, a sink has none before it has played."""
+    with playing(server, "haptic", tone(60.0, 60.0)):
+        wait_for(lambda: "RUNNING" in server.pactl("list", "short", "sinks"), "sound")
+        server.pactl("set-sink-volume", "haptic", volume)
+        server.pactl("set-sink-mute", "haptic", "1")
+
+
 def test_a_muted_device_is_named_and_unmuted_at_its_volume_while_nothing_plays(configured) -> None:
-    configured.pactl("set-sink-volume", "haptic", "60%")
-    configured.pactl("set-sink-mute", "haptic", "1")
+    mute(configured, "60%")
     found = visit(configured)
     assert found.names == ["device-muted", "no-daemon"]
     assert "volume 60 %" in found.wrong["device-muted"]
@@ -141,8 +148,7 @@ def test_a_muted_device_is_named_and_unmuted_at_its_volume_while_nothing_plays(c
 
 
 def test_a_device_above_full_volume_stays_muted(configured) -> None:
-    configured.pactl("set-sink-volume", "haptic", "130%")
-    configured.pactl("set-sink-mute", "haptic", "1")
+    mute(configured, "130%")
     assert "device-muted" in visit(configured, "--fix").names
     assert configured.pactl("get-sink-mute", "haptic") == "Mute: yes"
 

@@ -131,4 +131,4 @@ def test_pulseaudio_says_which_alert_it_cannot_leave_out(pulse, tmp_path):
     ):
         status = daemon.wait(lambda status: application(status, "Chime"), "the alert")
         assert application(status, "Chime").rule == "alert"
-        daemon.wait(lambda status: "Chime (alert)" in str(status.warnings), "the warning")
+        daemon.wait(lambda status: "'Chime' (alert)" in " ".join(status.warnings), "the warning")
