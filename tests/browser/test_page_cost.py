@@ -93,7 +93,7 @@ def engine(room: Room, request: pytest.FixtureRequest) -> Iterator[None]:
     with playing(room.server, "desktop", tone(TONE_HZ, 60.0)):
         page.get_by_role("radio", name=request.param).check()
         words = f"The {request.param} engine plays"
-        says(page, "footer", words, 30.0)
+        says(page, "#engine", words, 30.0)
         wait_for(lambda: page.is_enabled("#undo"), "the choice")
     page.context.close()
     yield
