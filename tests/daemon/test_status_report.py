@@ -37,7 +37,7 @@ def test_much_limiting_leads_to_advice_that_names_the_loudness_or_else_the_volum
         "5 % of the latest minute's vibration was limited at full scale; "
         "lower loudness_target_db, which is -24 dB"
     )
-    assert advice(much, "paper").endswith("lower the volume of what plays")
+    assert advice(much, "paper").endswith("lower the volume of the sound")
 
 
 def test_little_limiting_an_old_one_and_one_of_another_engine_are_left_alone():
