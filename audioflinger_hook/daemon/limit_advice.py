@@ -41,4 +41,4 @@ class LimitAdvice:
             return (
                 f"{found}; lower loudness_target_db, which is {parameters.loudness_target_db:g} dB"
             )
-        return f"{found}; lower the volume of what plays"
+        return f"{found}; lower the volume of the sound"

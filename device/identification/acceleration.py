@@ -76,8 +76,8 @@ def _identify(
     recording, found, extras, inverted = _fit_mode(recording, factors, on_seat, level_known)
     on_seat = any(extra.name == "seat" for extra in extras)
     advice = (
-        "more than one resonance and a seat are in the band, or this is another channel; check "
-        "the input, fasten what rattles, or sweep a narrower band around the resonance"
+        "the band has several resonances and a seat, or this is another channel; check the "
+        "input, fasten loose parts, or sweep a narrower band"
     )
     check_fit(recording, found, advice)
     sensitivity, f0, q = (found.estimate({index: 1.0}) for index in range(3))

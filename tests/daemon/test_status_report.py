@@ -37,7 +37,7 @@ def test_much_limiting_leads_to_advice_that_names_the_loudness_or_else_the_volum
         "5 % of the latest minute's vibration was limited at full scale; "
         "lower loudness_target_db, which is -24 dB"
     )
-    assert advice(much, "paper").endswith("lower the volume of what plays")
+    assert advice(much, "paper").endswith("lower the volume of the sound")
     # of little limiting, of an old one and of one of another engine, which counts from 0, nothing
     assert advice((0.005 * second, second) for second in range(91)) == ""
     assert advice((min(second, 60), second) for second in range(200)) == ""

@@ -62,7 +62,7 @@ def await_cards(count: int) -> list[UsbAudioDevice]:
 
 
 def sound(seconds: float, times: int = 1) -> str:
-    """A tap of three tones that swell, each at its own pace, and never fall silent; repeated."""
+    """A tap of three tones that swell, and never fall silent. times: how often they come."""
     time_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     tones = ((97.0, 0.31), (430.0, 0.73), (1_900.0, 1.17))
     waves = sum(

@@ -140,8 +140,8 @@ def felt_on_real_sounds(methods: Sequence[Method], of: Material) -> Section:
         series=series,
         footnote="One half of the sounds was used to choose settings. Most rows use the other "
         f"half: {_counted(of.half)}. The match, the energy above 250 Hz and under 15 Hz, and the "
-        f"classes use both halves: {_counted(of.all)}. The script {SOUNDS_COMMAND} fetches the "
-        "sounds.",
+        f"classes use both halves. These are {_counted(of.all)}. The script {SOUNDS_COMMAND} "
+        "fetches the sounds.",
     )
 
 
