@@ -200,8 +200,8 @@ MUTATIONS = (
     Mutation(
         "the device's own sound is not tapped",
         TAPS,
-        "if sink.id == avoided or not graph.is_sink(sink.id):",
-        "if not graph.is_sink(sink.id):",
+        "if sink.id == avoided or not sink.is_sink:",
+        "if not sink.is_sink:",
         TAPPED,
     ),
     Mutation(

@@ -60,9 +60,9 @@ def run(options: argparse.Namespace) -> int:
             addresses = str(run_config.tap), str(run_config.device)
             recording = RunRecording(options.record, run_config.settings, *addresses)
             run_config = dataclasses.replace(run_config, recording=recording)
-        supervisor = Supervisor(
-            run_config, clocks, wake, folder.path, _safety(run_config), _offsets(run_config)
-        )
+        safety = SafetyKeeper(_state_folder(run_config.device_is_live), _present_moment)
+        offsets = OffsetStore(_state_folder(run_config.tap_is_live and run_config.device_is_live))
+        supervisor = Supervisor(run_config, clocks, wake, folder.path, safety, offsets)
         signals.on_spinning = supervisor.priority.revoke
         edits = LiveEdits(options.config or config.default_path())
 
@@ -111,19 +111,10 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _safety(run_config: RunConfig) -> SafetyKeeper | None:
-    """Return the store of coil temperatures and doses. None: no real device or no state folder."""
-    if run_config.device_is_live:
+def _state_folder(is_used: bool) -> Path | None:
+    if is_used:
         with suppress(UsageError):
-            return SafetyKeeper(state_folder(), _present_moment)
-    return None
-
-
-def _offsets(run_config: RunConfig) -> OffsetStore | None:
-    """Return the store of measured delays. None: no sink plays, or there is no state folder."""
-    if run_config.tap_is_live and run_config.device_is_live:
-        with suppress(UsageError):
-            return OffsetStore(state_folder())
+            return state_folder()
     return None
 
 

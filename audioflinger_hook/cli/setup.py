@@ -8,7 +8,7 @@ import difflib
 import sys
 import tomllib
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -69,11 +69,12 @@ def run(options: argparse.Namespace) -> int:
     if choice is None:
         print(f"The tone was stopped; {NOTHING_WRITTEN}.")
         return 0
-    values: dict[str, Any] = {"device": choice.output.address}
-    if choice.level_db is not None:
-        values["gain_db"] = choice.level_db
+    address, level_db, channels = choice
+    values: dict[str, Any] = {"device": address}
+    if level_db is not None:
+        values["gain_db"] = level_db
     values |= _profile_values(options.profile or _ask_profile(options.yes, before), before)
-    text = _new_text(path, before, values, choice.channels)
+    text = _new_text(path, before, values, channels)
     if text == before:
         print(f"\n{path} has these settings already.")
     else:
@@ -100,17 +101,14 @@ def _check_profile(name: str | None) -> None:
         raise UsageError(f"profile={name!r} is not known; allowed: {', '.join(known)}{offer}")
 
 
-@dataclass(frozen=True)
-class Choice:
-    """The chosen output, level and channels."""
+def _chosen(
+    options: argparse.Namespace, wired: tuple[ActuatorSettings, ...]
+) -> tuple[str, float | None, tuple[str, ...]] | None:
+    """Return the chosen output's address, level and channels; None if the user stopped the tone.
 
-    output: Output
-    level_db: float | None  # level at which the user felt the tone; None if not asked
-    channels: tuple[str, ...]  # channels of the actuators; empty: all, or those of the config
-
-
-def _chosen(options: argparse.Namespace, wired: tuple[ActuatorSettings, ...]) -> Choice | None:
-    """Return what was chosen; None if the user stopped the tone. wired: the config's actuators."""
+    The level is that at which the user felt the tone, None if not asked. Without channels, all
+    drive actuators, or those of the config. wired: the config's actuators.
+    """
     filter_stderr()
     named = None if options.device is None else parse_device(options.device)
     with ExitStack() as stack:
@@ -142,7 +140,7 @@ def _chosen(options: argparse.Namespace, wired: tuple[ActuatorSettings, ...]) ->
                     felt = "no"
                     print(error)
             if felt == "yes":
-                return Choice(output, level_db, channels)
+                return output.address, level_db, channels
             if felt == "stop":
                 return None
             if named is not None:

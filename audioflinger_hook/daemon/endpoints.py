@@ -77,11 +77,6 @@ class Endpoints:
             raise UsageError("settings cannot change during --record; restart the daemon")
         _ = new.rules  # raises if a rule is invalid
 
-    def configure(self, config: RunConfig) -> None:
-        """Apply a config to the current input and output."""
-        self.input.configure(config)
-        self.output.configure(config)
-
     def retarget_input(self, config: RunConfig) -> bool:
         """Change the input to the config's tap; return whether a new engine is necessary."""
         if self.input.retarget(config):
@@ -134,17 +129,7 @@ class Endpoints:
 
     def _make_output(self, config: RunConfig) -> Output:
         if not config.device_is_live:
-            return PacedOutput(config.device, self._pacer, config.settings, config.recording)
+            return PacedOutput(config, self._pacer)
         assert self._pcms is not None
         kind = CardOutput if config.device_is_a_card else SinkOutput
-        output = kind(
-            config.device,
-            self._pcms.pcms["cushion_output"],
-            self._states,
-            config.recording,
-            block_frames=config.live.block_frames,
-            priority=self._priority,
-            actuators=config.settings.actuators,
-        )
-        output.volume.request(config)
-        return output
+        return kind(config, self._pcms.pcms["cushion_output"], self._states, self._priority)

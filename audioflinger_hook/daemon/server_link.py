@@ -45,10 +45,7 @@ class ServerLink(Listener):
     @property
     def warning(self) -> str:
         """Why the fallback sink is not ready, in one line; "" on PipeWire, which needs none."""
-        fallback, connection = self._fallback, self.connection
-        if fallback is None or connection is None or fallback.active:
-            return ""
-        return "" if connection.latest.kind == "PipeWire" else fallback.reason
+        return self._fallback.reason if self._fallback else ""
 
     def open(self, now_s: float) -> bool:
         """Connect if an attempt is due; return whether a connection was made.

@@ -14,11 +14,10 @@ from audioflinger_hook.daemon.limit_advice import LimitAdvice
 from audioflinger_hook.daemon.native.abilities import check_engine
 from audioflinger_hook.daemon.offset_store import OffsetStore
 from audioflinger_hook.daemon.outputs.base import Output
-from audioflinger_hook.daemon.resting import Resting
 from audioflinger_hook.daemon.run_config import Change, RunConfig, changes_between
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
 from audioflinger_hook.daemon.server_link import DropInControl, ServerLink
-from audioflinger_hook.daemon.timing import StallDetector, Wake
+from audioflinger_hook.daemon.timing import IdlePolicy, StallDetector, Wake
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from audioflinger_hook.service.status import Application
 from device.errors import CushionError, LostError, NotFoundError, UsageError
@@ -70,7 +69,7 @@ class Supervisor:
         self.engines = Engines(
             config, clocks, self._endpoints, self.states, folder, wake.ring, safety
         )
-        self._resting = Resting(self._endpoints, self.engines, self.states, now_s)
+        self._idle = IdlePolicy(now_s)
         self.alignment = Alignment(
             config, self.engines, self._drop_in, offsets or OffsetStore(), wake.ring
         )
@@ -218,12 +217,12 @@ class Supervisor:
             self.input.close()
             self.priority.restore()
             self.engines.native.lose_links(Cause.TAP_LOST, now_s, str(error))
-            self._resting.end(now_s)
+            self._idle.wake(now_s)
             self.states.enter(DaemonState.WAITING_FOR_SOUND_SOURCE, now_s, str(error))
             return
         if self.engines.maintain(connection, source, device, now_s):
             return
-        if self._resting.update(connection, snapshot, now_s):
+        if self._rests(connection, snapshot, now_s):
             return
         try:
             self.engines.prepare(source, device, now_s)
@@ -273,7 +272,8 @@ class Supervisor:
         config.settings.transform_parameters  # noqa: B018 - reads the rig's file, once
         self.engines.follow(config, changes)
         self.config = config
-        self._endpoints.configure(config)
+        self.input.configure(config)
+        self.output.configure(config)
         if Change.PRIORITY in changes:
             self.priority.set_wanted(config.live.realtime)
         restarts = Change.ENGINE in changes
@@ -292,7 +292,7 @@ class Supervisor:
                 config.recording.end("another tap needs a new mix, which a replay cannot repeat")
             self.engines.drop()
         if changes:
-            self._resting.end(now_s)
+            self._idle.wake(now_s)
 
     def close(self, now_s: float, *, keep: bool = True) -> None:
         """Stop the daemon. keep: whether to keep an output file. WriteError: writing it failed."""
@@ -309,18 +309,39 @@ class Supervisor:
             # After a suspend, devices may be missing at first. `tick` reopens the streams later.
             self._endpoints.close()
             self.engines.native.close()
-            self._resting.end(now_s)
+            self._idle.wake(now_s)
         if self.engines.python:
             self._stalls.count_resyncs(self.engines.python.delay_line.status.resyncs)
             if self.input.needs_server:  # while a file plays, effects may be slow
                 self.engines.python.framework.look_for_blocked(now_s)
+
+    def _rests(
+        self, connection: PulseConnection | None, snapshot: ServerSnapshot | None, now_s: float
+    ) -> bool:
+        """Close the Python engine's streams if nothing plays; return whether the daemon is idle."""
+        tap, engine = self.input, self.engines.python
+        if not (tap.may_rest and self.output.may_rest):
+            self._idle.wake(now_s)
+            return False
+        heard = self._idle.resting and tap.listen(connection, now_s)
+        players = tap.players(snapshot)
+        # Without players, buffers may stop arriving, and `engine.faded` might never become true.
+        over = engine is not None and (engine.faded or not players)
+        last_sound_s = engine.last_sound_s if engine and over else now_s
+        if not self._idle.update(now_s, players, last_sound_s, heard=heard):
+            return False
+        if self.states.enter(DaemonState.IDLE, now_s, tap.why_silent):
+            self._endpoints.close()
+            if engine:
+                engine.rest()
+        return True
 
     def _connected(self, now_s: float) -> PulseConnection | None:
         if lost := self._link.lost:
             self._lose_server(now_s, lost)
         try:
             if self._link.open(now_s):
-                self._resting.end(now_s)
+                self._idle.wake(now_s)
         except CushionError as error:
             self.states.enter(DaemonState.WAITING_FOR_SERVER, now_s, str(error))
             return None
@@ -355,6 +376,6 @@ class Supervisor:
             self.priority.restore()
             self.engines.native.lose_links(Cause.DEVICE_LOST, now_s, str(error))
             self._found = (None, None)
-            self._resting.end(now_s)
+            self._idle.wake(now_s)
             self.states.enter(DaemonState.WAITING_FOR_DEVICE, now_s, str(error))
             return None

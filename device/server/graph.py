@@ -128,14 +128,6 @@ class Graph:
         """Return the sink of this name, if there is one."""
         return next((node for node in self.nodes_named(name) if node.is_sink), None)
 
-    def sinks(self) -> Iterator[Node]:
-        """Return all nodes that play sound from other nodes."""
-        return (node for node in self.nodes.values() if node.is_sink)
-
-    def is_sink(self, node_id: int) -> bool:
-        """Whether a node plays sound from other nodes."""
-        return node_id in self.nodes and self.nodes[node_id].is_sink
-
     def nodes_named(self, name: str) -> Iterator[Node]:
         """Return all nodes of this name."""
         return (self.nodes[node_id] for node_id in self._named.get(name, ()))

@@ -186,8 +186,8 @@ class FallbackSink:
 
     Make this object before the playback stream. A fallback sink that an earlier process left is
     reused. Any thread except the connection's may use the object. connection: to the server.
-    active: whether the sink is ready. reason: why it is not ready, in one line. LostError: the
-    connection is lost.
+    active: whether the sink is ready. reason: why it is not ready, in one line; "" on PipeWire,
+    which ends the stream instead. LostError: the connection is lost.
     """
 
     def __init__(self, connection: PulseConnection) -> None:
@@ -196,7 +196,6 @@ class FallbackSink:
         self.active, self.reason = False, ""
         snapshot = connection.snapshot()
         if snapshot.kind == "PipeWire":
-            self.reason = "PipeWire ends the stream instead"
             return
         try:
             if "module-intended-roles" not in connection.modules().values():

@@ -45,11 +45,13 @@ def pcms():
 class Rig:
     """An output, its cards, and where its bytes go: one file a card's number."""
 
-    def __init__(self, folder: Path, pcms: PcmConfig, name: str = "DAC", **options) -> None:
+    def __init__(
+        self, folder: Path, pcms: PcmConfig, name: str = "DAC", actuators=(), **options
+    ) -> None:
         self.folder, self.cards = folder, Cards(folder / "asound")
         self.states, self.blocks = StateKeeper(0.0), 0
         self.output = CardOutput(
-            DeviceAddress("hw", name),
+            config(f"hw:{name}", Settings(actuators=actuators), block_frames=256),
             pcms.pcms["cushion_output"],
             self.states,
             root=self.cards.root,
@@ -157,7 +159,7 @@ def test_a_card_whose_volume_cannot_be_set_is_not_played_to(rig):
 
 
 def test_a_card_with_too_few_channels_for_the_actuators_is_none(tmp_path, pcms):
-    rig = Rig(tmp_path, pcms, "30,0", actuators=[ActuatorSettings((0,)), ActuatorSettings((2,))])
+    rig = Rig(tmp_path, pcms, "30,0", actuators=(ActuatorSettings((0,)), ActuatorSettings((2,))))
     rig.cards.plug(30, "DAC", stream=ASYNC)
     for known in (False, True):  # the mix
         if known:
@@ -172,7 +174,7 @@ def test_a_card_with_too_few_channels_for_the_actuators_is_none(tmp_path, pcms):
 
 
 def test_actuators_reach_their_channels_and_go_over_to_others_in_an_open_stream(tmp_path, pcms):
-    rig = Rig(tmp_path, pcms, "30,0", actuators=[ActuatorSettings((5,)), ActuatorSettings((0, 1))])
+    rig = Rig(tmp_path, pcms, "30,0", actuators=(ActuatorSettings((5,)), ActuatorSettings((0, 1))))
     rig.start(2, stream=ADAPTIVE)
     rig.output.set_actuators([ActuatorSettings((1,)), ActuatorSettings((7, 2))])
     assert rig.output.is_open

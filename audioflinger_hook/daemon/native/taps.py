@@ -59,8 +59,8 @@ class Tap:
         haptic = graph.sink(device)
         avoided = haptic.id if haptic else None
         microphones = microphones_in(graph)
-        for sink in graph.nodes_named(self.sink) if self.sink else graph.sinks():
-            if sink.id == avoided or not graph.is_sink(sink.id):
+        for sink in graph.nodes_named(self.sink) if self.sink else graph.nodes.values():
+            if sink.id == avoided or not sink.is_sink:
                 continue
             for link in graph.links_of(sink.id):
                 if link.input_node_id == sink.id and self._takes(graph, link, avoided, microphones):

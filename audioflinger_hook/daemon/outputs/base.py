@@ -8,7 +8,6 @@ from typing import Generic, TypeVar
 
 from audioflinger_hook.daemon.inputs.base import AudioNode, Endpoint
 from audioflinger_hook.daemon.reconnecting_stream import ReconnectingStream
-from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.address import DeviceAddress
@@ -20,7 +19,6 @@ from device.rig import rig_by_name
 from device.server import PulseConnection, ServerSnapshot
 from device.stream import AudioPriority, PlaybackStream
 from device.stream.pcms import Pcm
-from device.stream.portaudio import BLOCK_FRAMES
 from device.stream.sample_format import SampleFormat
 from device.units import Float32Array
 
@@ -91,27 +89,24 @@ class Output(Endpoint):
 
 
 class StreamOutput(Output, Generic[NodeT]):
-    """An output with a PortAudio stream on a sink or card. recording: stores the sent frames."""
+    """An output with a PortAudio stream on a sink or card."""
 
     is_card = False
 
     def __init__(
         self,
-        address: DeviceAddress,
+        config: RunConfig,
         pcm: Pcm,
         states: StateKeeper,
-        recording: RunRecording | None = None,
-        *,
-        block_frames: int = BLOCK_FRAMES,
         priority: AudioPriority | None = None,
-        actuators: Sequence[ActuatorSettings] = (),
     ) -> None:
-        super().__init__(address)
-        self.block_frames = block_frames
+        super().__init__(config.device)
+        self.block_frames = config.live.block_frames
         self.volume = DeviceVolume()
+        self.volume.request(config)
         self._pcm, self._priority = pcm, priority
-        self._states, self._recording = states, recording
-        self._router = ChannelRouter(actuators)
+        self._states, self._recording = states, config.recording
+        self._router = ChannelRouter(config.settings.actuators)
         self._stream = ReconnectingStream[PlaybackStream](
             "the output", states, Cause.DEVICE_LOST, Cause.DEVICE_MOVED
         )
