@@ -49,11 +49,11 @@ class Parser(argparse.ArgumentParser):
 
     def add_value(
         self, flag: str, kind: Any, metavar: str, meaning: str, default: object = None
-    ) -> None:
-        """Add an option with a value. The help of the option states the default if there is one."""
+    ) -> argparse.Action:
+        """Add an option with a value; return it. Its help states the default if there is one."""
         shown = f"{default:g}" if isinstance(default, float) else default
         described = meaning if default is None else f"{meaning}; default: {shown}"
-        self.add_argument(flag, type=kind, default=default, metavar=metavar, help=described)
+        return self.add_argument(flag, type=kind, default=default, metavar=metavar, help=described)
 
     def add_switch(self, flag: str, meaning: str) -> None:
         """Add an option without a value."""

@@ -26,9 +26,10 @@ from device.identification.output_error import Estimate
 from device.identification.recording import Sweep
 from device.identification.simulated_laboratory import LARGEST_SHARE, sweep_at_excursion
 from device.rig import Rig
-from device.server import PulseConnection, ServerSnapshot
+from device.server import PulseConnection
 from device.server.guard import FallbackSink, Hold, StreamGuard
 from device.server.identity import find_source, is_cushion_stream
+from device.server.snapshot import Sink, Source
 from device.stream import PcmConfig, filter_stderr
 from device.stream.pcms import ServerDevice, Target
 from device.stream.sample_format import SampleFormat
@@ -49,12 +50,8 @@ class StreamEndpoint:
     target: Target
     name: str  # name in messages
     channels: int
+    connection: PulseConnection | None = None  # to a server, which could move the stream
     sample_format: SampleFormat = SampleFormat.FLOAT32
-
-    @property
-    def guarded(self) -> bool:
-        """Whether the stream is on a sound server, which could move it to another device."""
-        return isinstance(self.target, ServerDevice)
 
 
 @dataclass
@@ -65,7 +62,6 @@ class MeasurementStreams:
     output: StreamEndpoint
     source: StreamEndpoint
     samplerate: int
-    connection: PulseConnection | None  # None if no stream is on a server
     progress: Callable[[float], None] = lambda share: None  # called repeatedly during a measurement
 
     def run(self, exchange: Exchange) -> None:
@@ -73,8 +69,8 @@ class MeasurementStreams:
         with ExitStack() as stack:
             rate, out, source = self.samplerate, self.output, self.source
             # The fallback sink closes last, so that every exit, including Ctrl+C, leaves silence.
-            if out.guarded and self.connection is not None:
-                stack.callback(FallbackSink(self.connection).close)
+            if out.connection:
+                stack.callback(FallbackSink(out.connection).close)
             outward, inward = self.pcms.pcms[OUTPUT], self.pcms.pcms[INPUT]
             outward.target, inward.target = out.target, source.target
             playback = PlaybackStream(
@@ -92,8 +88,8 @@ class MeasurementStreams:
             stack.callback(capture.close)
             guards = []
             for stream, endpoint in ((playback, out), (capture, source)):
-                if endpoint.guarded and self.connection is not None:
-                    guard = StreamGuard(self.connection, stream, endpoint.name, any_source=True)
+                if endpoint.connection:
+                    guard = StreamGuard(endpoint.connection, stream, endpoint.name, any_source=True)
                     stack.callback(guard.release)
                     guards.append(guard)
                 else:
@@ -206,15 +202,14 @@ def calibrate_live(
         connection = None
         if device.kind != "hw" or source.startswith("source:"):
             connection = stack.enter_context(closing(PulseConnection()))
-        snapshot = connection.latest if connection else None
-        output, rate = _output(device, snapshot)
-        heard, rate = _input(source, snapshot, len(inputs.names), output, rate)
+        output, rate = _output(device, connection)
+        heard, rate = _input(source, connection, len(inputs.names), output, rate)
         channel = options.output_channel
         if not 1 <= channel <= output.channels:
             raise UsageError(f"output-channel={channel}: {output.name} has 1 to {output.channels}")
         unused = [UNUSED] * (heard.channels - len(inputs.names))
         inputs = replace(inputs, names=(*inputs.names, *unused))
-        transport = MeasurementStreams(pcms, output, heard, rate, connection, progress.within)
+        transport = MeasurementStreams(pcms, output, heard, rate, progress.within)
         laboratory = LiveLaboratory(transport, inputs, channel - 1, rig.amplifier)
         found = calibrate(
             laboratory,
@@ -275,32 +270,39 @@ def levelled(rig: Rig, sweep: Sweep, options: argparse.Namespace) -> Sweep:
     return sweep
 
 
-def _output(device: DeviceAddress, snapshot: ServerSnapshot | None) -> tuple[StreamEndpoint, int]:
+def _output(
+    device: DeviceAddress, connection: PulseConnection | None
+) -> tuple[StreamEndpoint, int]:
     """Return the device that plays the sweep, and its sample rate in Hz."""
     if device.kind == "hw":
         playback = find_playback(device.name)
         card, choice = free_card(playback, RATE_HZ, 1)
-        output = StreamEndpoint(card, str(playback), choice.channels, choice.sample_format)
+        name, sample_format = str(playback), choice.sample_format
+        output = StreamEndpoint(card, name, choice.channels, sample_format=sample_format)
         return output, choice.samplerate
-    assert snapshot is not None
-    sink = device.sink(snapshot)
+    assert connection is not None
+    sink = device.sink(connection.latest)
     others = [
         "cushion run" if is_cushion_stream(stream) else stream.application or "another program"
-        for stream in snapshot.playing_to(sink.name)
+        for stream in connection.latest.playing_to(sink.name)
     ]
     if others:
         raise UsageError(f"{', '.join(others)} plays to {sink.name!r}; end it first")
-    return StreamEndpoint(ServerDevice(sink.name), sink.name, sink.channels), RATE_HZ
+    return _on_server(sink, connection), RATE_HZ
+
+
+def _on_server(device: Sink | Source, connection: PulseConnection) -> StreamEndpoint:
+    return StreamEndpoint(ServerDevice(device.name), device.name, device.channels, connection)
 
 
 def _input(
-    source: str, snapshot: ServerSnapshot | None, needed: int, output: StreamEndpoint, rate: int
+    source: str, connection: PulseConnection | None, needed: int, output: StreamEndpoint, rate: int
 ) -> tuple[StreamEndpoint, int]:
     """Return the device that records, and the sample rate of both devices in Hz."""
     kind, _, name = source.partition(":")
     if kind == "source":
-        assert snapshot is not None
-        found = find_source(snapshot, name)
+        assert connection is not None
+        found = find_source(connection.latest, name)
         if found.monitor_of == output.name:
             raise UsageError(
                 f"input {source!r} is the monitor of the output itself, not of the cushion; "
@@ -320,10 +322,10 @@ def _input(
                 f"the sound server mixes the channels {found.channel_map} of input {source!r}; "
                 "name the card itself, as hw:CARD, or choose another profile of it"
             )
-        return StreamEndpoint(ServerDevice(found.name), found.name, found.channels), rate
+        return _on_server(found, connection), rate
     capture = find_capture(name)
     card, choice = free_card(capture, rate, needed, needed)
-    if choice.samplerate != rate and not output.guarded:
+    if choice.samplerate != rate and output.connection is None:
         raise UsageError(
             f"{output.name} plays at {rate} Hz and {capture} records at {choice.samplerate} Hz; "
             "name the sound server's sink or source for one of them"

@@ -17,7 +17,7 @@ class Blocks:
     def __init__(self, frames: int = BLOCK, blocks: int | None = None) -> None:
         self.error: Exception | None = None
         self.done_s: list[float] = []
-        self._played, self._frames, self._blocks = FrameTime(RATE_HZ), frames, blocks
+        self._played, self._frames, self._blocks = FrameTime(), frames, blocks
 
     @property
     def due_s(self) -> float:
@@ -47,7 +47,7 @@ def played(made: Pacer, until_s: float, late_s: float = 0.0) -> None:
 
 @pytest.mark.exhaustive
 def test_a_day_of_blocks_ends_on_the_sample():
-    clock, blocks = FrameTime(44_100), 24 * 3_600 * 44_100 // BLOCK
+    clock, blocks = FrameTime(), 24 * 3_600 * 44_100 // BLOCK
     for _ in range(blocks):
         clock.add(BLOCK, 44_100)
     assert clock.after(0, 44_100) == blocks * BLOCK / 44_100

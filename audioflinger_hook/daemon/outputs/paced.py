@@ -124,7 +124,7 @@ class _Writer:
         self.output = output
         self.fill: Fill
         self._recording = recording
-        self._written = FrameTime(output.samplerate)
+        self._written = FrameTime()
         self._block = np.zeros((BLOCK_FRAMES, output.channels), np.float32)
 
     @property
