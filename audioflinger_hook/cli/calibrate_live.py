@@ -95,31 +95,24 @@ class MeasurementStreams:
                 else:
                     stream.audible = True
             stack.callback(exchange.abort, LostError("the measurement was aborted"))
-            watch = _Watch((playback, capture), guards, (out.name, source.name))
-            watch.settle(exchange)
+            self._streams, self._guards = (playback, capture), guards
+            self._settle(exchange)
             while not exchange.ended.wait(_POLL_S):
-                if error := watch.problem(time.monotonic()):
+                if error := self._problem(time.monotonic()):
                     exchange.abort(error)
                 self.progress(exchange.share_recorded)
 
-
-@dataclass
-class _Watch:
-    streams: tuple[PlaybackStream, CaptureStream]
-    guards: list[StreamGuard]
-    names: tuple[str, str]
-
-    def settle(self, exchange: Exchange) -> None:
+    def _settle(self, exchange: Exchange) -> None:
         """Start the sweep when both streams run. LostError: one does not run within SETTLE_S."""
         limit_s = time.monotonic() + SETTLE_S
         while not (
-            all(guard.hold.audible for guard in self.guards)
-            and all(stream.callbacks > 3 for stream in self.streams)
+            all(guard.hold.audible for guard in self._guards)
+            and all(stream.callbacks > 3 for stream in self._streams)
         ):
             if time.monotonic() > limit_s:
-                held = [guard.hold.value for guard in self.guards if not guard.hold.audible]
+                held = [guard.hold.value for guard in self._guards if not guard.hold.audible]
                 raise LostError(
-                    f"{' and '.join(self.names)} do not run after {SETTLE_S:g} s "
+                    f"{self.output.name} and {self.source.name} do not run after {SETTLE_S:g} s "
                     f"({', '.join(held) or 'a device delivers nothing'}); check both, and try again"
                 )
             exchange.ended.wait(_POLL_S)
@@ -127,17 +120,18 @@ class _Watch:
         exchange.begin()
 
     def _counts(self) -> list[tuple[int, int, int]]:
-        return [(s.xruns, s.silenced, sum(s.errors.values())) for s in self.streams]
+        return [(s.xruns, s.silenced, sum(s.errors.values())) for s in self._streams]
 
-    def problem(self, now_s: float) -> CushionError | None:
+    def _problem(self, now_s: float) -> CushionError | None:
         """Return the error that ends the measurement, or None."""
-        for guard in self.guards:
+        for guard in self._guards:
             if guard.hold is Hold.NO_STREAM:  # for a moment after a late block, too
                 why = f"{guard.hold.value}; plug the device in"
                 return BrokenStreamError(f"the sweep ended: {why}, and repeat")
             if not guard.hold.audible:
                 return LostError(f"the sweep ended: {guard.hold.value}; plug it in, and repeat")
-        each = zip(self.streams, self.names, self._before, self._counts(), strict=True)
+        names = self.output.name, self.source.name
+        each = zip(self._streams, names, self._before, self._counts(), strict=True)
         for stream, name, before, now in each:
             if stream.is_lost(now_s):
                 return LostError(f"{name} went away during the sweep; plug it in again, and repeat")

@@ -50,6 +50,10 @@ Block = NDArray[np.floating[Any]]
 class Played:
     """Data for the demo's table and picture."""
 
+    scene: Scene
+    sound: NDArray[np.float32]
+    framework: Framework
+    rig: SimulatedRig
     vibration: list[NDArray[np.float32]] = field(default_factory=list)
     acceleration: list[NDArray[np.float64]] = field(default_factory=list)
     buffer_s: list[float] = field(default_factory=list)
@@ -65,7 +69,6 @@ def run(options: argparse.Namespace) -> int:
         settings = replace(settings, parameters=replace(settings.parameters, strength="rig"))
     _make_folder(out)
     scene = demo_scene()
-    sound = mixdown(scene)
     framework = Framework(scene.samplerate, scene.channels, settings)
     for warning in framework.warnings:
         warn(warning)
@@ -81,9 +84,10 @@ def run(options: argparse.Namespace) -> int:
     faded = [FadedOutput(output, round(FADE_S * rate)) for output in outputs]
     aligned = [AlignedOutput(output, latency) for output in faded]
     chain = Pipeline(SceneClient(scene, BLOCKSIZE_FRAMES), framework, aligned)
+    played = Played(scene, mixdown(scene), framework, rig)
     try:
-        heard.write(sound)
-        played = _play(chain, scene, rig, fast=options.fast)
+        heard.write(played.sound)
+        _play(chain, played, fast=options.fast)
         heard.close()
         chain.close()
         played.acceleration.append(rig.acceleration_m_s2)
@@ -91,14 +95,14 @@ def run(options: argparse.Namespace) -> int:
         heard.abort()
         chain.abort()
         raise
-    values = _main_values(framework, rig, played)
+    values = _main_values(played)
     drawn = True
     try:
-        write_bytes_atomically(picture, _picture(scene, sound, played, framework, values))
+        write_bytes_atomically(picture, _picture(played, values))
     except ImportError:
         warn("no report.png: matplotlib is not installed; `pip install matplotlib` brings it")
         drawn = False
-    _print_table(out, framework, rig, played, values, drawn)
+    _print_table(out, played, values, drawn)
     print(f"to feel your own sound, type: {as_typed('setup')}")
     return 0
 
@@ -113,9 +117,9 @@ def _make_folder(out: Path) -> None:
         raise UsageError(f"{what}; name another with --out") from None
 
 
-def _play(chain: Pipeline, scene: Scene, rig: SimulatedRig, *, fast: bool) -> Played:
+def _play(chain: Pipeline, played: Played, *, fast: bool) -> None:
     """Process the whole scene and show the levels, in real time unless `fast` is set."""
-    played = Played()
+    scene, rig = played.scene, played.rig
     pace = RealTimePace(scene.samplerate, time.monotonic())
     frames = 0
     with Meter(scene, LineConsole(stderr=True)) as meter:
@@ -130,18 +134,12 @@ def _play(chain: Pipeline, scene: Scene, rig: SimulatedRig, *, fast: bool) -> Pl
             if not fast:
                 time.sleep(pace.wait_s(frames, time.monotonic()))
             began = time.thread_time()
-    return played
 
 
-def _picture(
-    scene: Scene,
-    sound: NDArray[np.float32],
-    played: Played,
-    framework: Framework,
-    values: Mapping[str, str],
-) -> bytes:
+def _picture(played: Played, values: Mapping[str, str]) -> bytes:
     from audioflinger_hook.figures.report import report_png
 
+    scene, sound, framework = played.scene, played.sound, played.framework
     settings = framework.settings
     frames = scene.frame_count
     latency = framework.latency_frames
@@ -173,23 +171,17 @@ def _picture(
     )
 
 
-def _main_values(framework: Framework, rig: SimulatedRig, played: Played) -> dict[str, str]:
+def _main_values(played: Played) -> dict[str, str]:
     peak = max(float(np.abs(block).max(initial=0.0)) for block in played.vibration)
     return {
-        "latency of the transform": f"{framework.latency_s * 1e3:.1f} ms",
+        "latency of the transform": f"{played.framework.latency_s * 1e3:.1f} ms",
         "vibration, peak": level_text(peak),
-        "acceleration, peak": f"{rig.peak_acceleration_m_s2:.1f} m/s² (predicted)",
+        "acceleration, peak": f"{played.rig.peak_acceleration_m_s2:.1f} m/s² (predicted)",
     }
 
 
-def _print_table(
-    out: Path,
-    framework: Framework,
-    rig: SimulatedRig,
-    played: Played,
-    values: Mapping[str, str],
-    drawn: bool,
-) -> None:
+def _print_table(out: Path, played: Played, values: Mapping[str, str], drawn: bool) -> None:
+    framework, rig = played.framework, played.rig
     buffer_ms = np.array(played.buffer_s) * 1e3
     buffer_length_ms = BLOCKSIZE_FRAMES / framework.samplerate * 1e3
     median, tail, worst = np.percentile(buffer_ms, (50, 99, 100))

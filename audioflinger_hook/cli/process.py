@@ -30,32 +30,20 @@ class Signals(AbstractContextManager["Signals"]):
         self._terminals = [descriptor for descriptor in (0, 1, 2) if os.isatty(descriptor)]
         # `nohup` makes a program continue without its terminal.
         self._goes_on = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-        handlers = {
-            signal.SIGINT: self._end,
-            signal.SIGTERM: self._end,
-            signal.SIGHUP: self._hang_up,
-            signal.SIGXCPU: self._spinning,
-        }
-        self._before = {number: signal.signal(number, take) for number, take in handlers.items()}
+        numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGXCPU)
+        self._before = {number: signal.signal(number, self._take) for number in numbers}
 
     def __exit__(self, *_error: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def _end(self, _number: int, _frame: object) -> None:
-        self.end = True
-        self._wake.ring()
-
-    def _hang_up(self, _number: int, _frame: object) -> None:
-        closed = [terminal for terminal in self._terminals if not os.isatty(terminal)]
-        if closed and not self._goes_on:
-            self.end = True
-        else:
+    def _take(self, number: int, _frame: object) -> None:
+        if number == signal.SIGXCPU:
+            self.on_spinning()
+        elif number == signal.SIGHUP and (self._goes_on or all(map(os.isatty, self._terminals))):
             self.reload = True
-        self._wake.ring()
-
-    def _spinning(self, _number: int, _frame: object) -> None:
-        self.on_spinning()
+        else:
+            self.end = True
         self._wake.ring()
 
 

@@ -30,7 +30,7 @@ from device.server import PulseConnection, ServerSnapshot
 from device.stream import PcmConfig, filter_stderr
 from device.stream.pcms import missing_plugin
 from device.usb import find_devices
-from device.values import nearest
+from device.values import Choice
 
 SPEECH_FREE = "speech-free"
 SPEECH_KEY, SPEECH_SUPPRESSION_DB = "transform.speech_suppression_db", 12.0
@@ -63,7 +63,9 @@ def run(options: argparse.Namespace) -> int:
     wired: tuple[ActuatorSettings, ...] = ()
     if before is not None:  # the user must repair a config with mistakes first
         wired = config.load(path, LIVE_DEFAULT).settings.actuators
-    _check_profile(options.profile)
+    known = Choice("what is played", (*PROFILES, SPEECH_FREE))
+    if options.profile is not None and (refusal := known.refuse(options.profile)):
+        raise UsageError(f"profile={options.profile!r} {refusal}")
     has_service = not options.no_service and autostart.is_on()
     choice = _chosen(options, wired)
     if choice is None:
@@ -91,14 +93,6 @@ def run(options: argparse.Namespace) -> int:
         print(f"\n{path} is written.{f' The earlier file is {backup}.' if backup else ''}")
     _tell(path, text, installs or has_service)
     return 0
-
-
-def _check_profile(name: str | None) -> None:
-    known = (*PROFILES, SPEECH_FREE)
-    if name is not None and name not in known:
-        guess = nearest(name, known)
-        offer = f"; did you mean {guess}?" if guess else ""
-        raise UsageError(f"profile={name!r} is not known; allowed: {', '.join(known)}{offer}")
 
 
 def _chosen(

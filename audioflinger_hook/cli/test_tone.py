@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -35,12 +34,17 @@ CARD_RATE_HZ = 48_000
 
 
 class Tone:
-    """A sine on some channels, silent until `play`. Any thread may call `play` and `stop`.
+    """A sine on some channels of an output, silent until `play`.
 
-    channels: numbers of the channels that play it, from 0. ended: set when the tone has ended.
+    name: of the output. channels: numbers of the channels that play it, from 0. stream: the open
+    output. guard: None for a sound card without a server. ended: set when the tone has ended.
     """
 
-    def __init__(self, hz: float, samplerate: int, channels: Sequence[int]) -> None:
+    stream: PlaybackStream
+    guard: StreamGuard | None = None
+
+    def __init__(self, name: str, hz: float, samplerate: int, channels: Sequence[int]) -> None:
+        self.name = name
         self._turn = 2.0 * math.pi * hz / samplerate  # radians per frame
         self._samplerate, self._channels = samplerate, list(channels)
         self._phase = self._amplitude = self._aim = 0.0
@@ -55,10 +59,6 @@ class Tone:
         self._fall = level / (FADE_S * self._samplerate)
         self._aim = level
         self.ended.clear()
-
-    def stop(self) -> None:
-        """Fade out now."""
-        self._frames_left = 0
 
     def fill(self, out: Float32Array, now_s: float) -> None:
         """Write the next frames. Only the output's thread calls it."""
@@ -77,16 +77,6 @@ class Tone:
         if aim == before == 0.0:
             self.ended.set()
 
-
-@dataclass(frozen=True)
-class TonePlayer:
-    """An open output with its tone. guard: None for a sound card without a server."""
-
-    name: str
-    tone: Tone
-    stream: PlaybackStream
-    guard: StreamGuard | None
-
     def wait_audible(self) -> None:
         """Wait until the stream plays. LostError: the stream does not play within SETTLE_S."""
         deadline_s = time.monotonic() + SETTLE_S
@@ -98,7 +88,7 @@ class TonePlayer:
 
     def wait_ended(self) -> None:
         """Wait for the tone's end. LostError: the device was lost."""
-        while not self.tone.ended.wait(0.1):
+        while not self.ended.wait(0.1):
             self.check()
         if self.guard is not None:  # a stream without a device may consume all frames at once
             self.guard.look()
@@ -112,9 +102,9 @@ class TonePlayer:
 
     def fade_out(self) -> None:
         """Fade out the tone and wait for its end. Raises nothing."""
-        self.tone.stop()
+        self._frames_left = 0
         if self.stream.audible and not self.stream.is_lost():
-            self.tone.ended.wait(3.0 * FADE_S)
+            self.ended.wait(3.0 * FADE_S)
 
 
 @contextmanager
@@ -124,7 +114,7 @@ def open_tone(
     connection: PulseConnection,
     hz: float,
     actuators: Sequence[ActuatorSettings] = (),
-) -> Iterator[TonePlayer]:
+) -> Iterator[Tone]:
     """Open a device for a tone of `hz`; close the device at exit.
 
     actuators: their channels play the tone; if empty, the known coil channels, else all channels.
@@ -145,19 +135,18 @@ def open_tone(
         playing = [
             number for number, source in enumerate(channel_map.sources) if source is not None
         ]
-        tone = Tone(hz, setup.samplerate, playing)
-        stream = PlaybackStream(
+        tone = Tone(name, hz, setup.samplerate, playing)
+        stream = tone.stream = PlaybackStream(
             pcm, setup.samplerate, setup.channels, tone.fill, sample_format=setup.sample_format
         )
         stack.callback(stream.close)
-        guard = StreamGuard(connection, stream, sink.name) if sink else None
-        if guard:
-            stack.callback(guard.release)
-        player = TonePlayer(name, tone, stream, guard)
-        stack.callback(player.fade_out)
-        if guard is None:
+        if sink:
+            tone.guard = StreamGuard(connection, stream, sink.name)
+            stack.callback(tone.guard.release)
+        stack.callback(tone.fade_out)
+        if sink is None:
             stream.audible = True
-        yield player
+        yield tone
 
 
 def _on_card(
@@ -219,25 +208,25 @@ def try_output(
     KeyboardInterrupt: as for `choose`; the tone is stopped.
     LostError: the device does not play, or was lost. Other errors are those of `open_tone`.
     """
-    with open_tone(device, pcm, connection, TONE_HZ, actuators) as player:
-        player.wait_audible()
-        print(f"\n{player.name} vibrates softly at {TONE_HZ:g} Hz. Ctrl+C stops it.", flush=True)
+    with open_tone(device, pcm, connection, TONE_HZ, actuators) as tone:
+        tone.wait_audible()
+        print(f"\n{tone.name} vibrates softly at {TONE_HZ:g} Hz. Ctrl+C stops it.", flush=True)
         if not ask:
-            player.tone.play(db_to_amplitude(FIRST_DB), UNASKED_S, FADE_IN_S)
-            player.wait_ended()
+            tone.play(db_to_amplitude(FIRST_DB), UNASKED_S, FADE_IN_S)
+            tone.wait_ended()
             return "yes", None
         print("The strongest moments will be as strong as the tone.")
-        return _ask(player)
+        return _ask(tone)
 
 
-def _ask(player: TonePlayer) -> tuple[str, float | None]:
+def _ask(tone: Tone) -> tuple[str, float | None]:
     level_db = FIRST_DB
     while True:
-        player.tone.play(db_to_amplitude(level_db), LONGEST_S, FADE_IN_S)
+        tone.play(db_to_amplitude(level_db), LONGEST_S, FADE_IN_S)
         question = f"{level_db:g} dB. Felt it? yes, louder, no, stop:"
-        answer = choose(question, ANSWERS, meanwhile=player.check)
+        answer = choose(question, ANSWERS, meanwhile=tone.check)
         if answer != "stop":
-            player.check()
+            tone.check()
         if answer != "louder":
             return answer, level_db if answer == "yes" else None
         if math.isclose(level_db, 0.0):
@@ -261,13 +250,13 @@ def run(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         pcms = stack.enter_context(closing(PcmConfig(PCM)))
         connection = stack.enter_context(closing(PulseConnection()))
-        player = stack.enter_context(open_tone(device, pcms.pcms[PCM], connection, options.hz))
-        player.tone.play(options.level, options.seconds)
+        tone = stack.enter_context(open_tone(device, pcms.pcms[PCM], connection, options.hz))
+        tone.play(options.level, options.seconds)
         how = f"{options.hz:g} Hz for {options.seconds:g} s, at {options.level:.0%} of full scale"
-        print(f"{player.name}: {how}", flush=True)
+        print(f"{tone.name}: {how}", flush=True)
         for warning in _warnings(device.sink(connection.latest), connection.latest):
             warn(warning)
-        player.wait_ended()
+        tone.wait_ended()
     return 0
 
 

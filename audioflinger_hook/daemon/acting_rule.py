@@ -18,8 +18,7 @@ class ActingRule:
 
     def __init__(self) -> None:
         self.rule: ApplicationRule | None = None
-        self._began: dict[int, int] = {}  # order in which streams began to play, by index
-        self._count = 0
+        self._playing: list[int] = []  # indexes of streams, in the order in which they began
 
     def update(
         self,
@@ -45,18 +44,13 @@ class ActingRule:
     def _newest(
         self, snapshot: ServerSnapshot, config: RunConfig, playing: Mapping[int, Stream]
     ) -> ApplicationRule | None:
-        self._began = {index: self._began[index] for index in self._began if index in playing}
-        for index in sorted(playing.keys() - self._began.keys()):
-            self._count += 1
-            self._began[index] = self._count
+        self._playing = [index for index in self._playing if index in playing]
+        self._playing += sorted(playing.keys() - set(self._playing))
         microphones = microphones_of(snapshot)
         rules = [(r.rule, r) for r in config.live.application_rules if r.profile or r.gain_db]
-        for index in sorted(self._began, key=self._began.__getitem__, reverse=True):
-            stream = playing[index]
-            if config.left_out.why(stream, microphones):
-                continue
+        for stream in (playing[index] for index in reversed(self._playing)):
             rule: ApplicationRule | None = first_match(rules, stream)
-            if rule is not None:
+            if rule is not None and not config.left_out.why(stream, microphones):
                 return rule
         return None
 

@@ -32,7 +32,6 @@ class Laboratory(Protocol):
 
     def measure(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
         """Play once; return one recording for each pair (reference, response)."""
-        ...
 
 
 def play_steps(

@@ -12,6 +12,7 @@ import numpy as np
 
 from device.identification import acceleration, responses
 from device.identification.output_error import (
+    NOTHING,
     Estimate,
     Extra,
     Fit,
@@ -127,7 +128,7 @@ def _choose(
 ) -> tuple[Fit, CoilLaw, bool]:
     """Return the best fit, its law, and whether it includes a seat."""
     tried: list[tuple[bool, float, Fit, CoilLaw, bool]] = []
-    known, near = None, None
+    known, near = NOTHING, None
     if mode:
         near = mode.fit.logs[1:3]
         noise = np.diag(mode.fit.covariance)[1:3]

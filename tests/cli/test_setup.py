@@ -239,7 +239,7 @@ def test_damaged_records_are_reported_before_anything_is_written(home: Path, pat
 
 
 def test_a_tone_fades_in_without_a_step_and_ends_by_itself() -> None:
-    tone = Tone(50.0, 48_000, [1])
+    tone = Tone("dac", 50.0, 48_000, [1])
     tone.play(0.5, 1.0, 0.5)
     blocks = []
     while not tone.ended.is_set():

@@ -29,7 +29,7 @@ class AudioNode(Protocol):
 
 @dataclass(frozen=True)
 class FixedNode:
-    """An `AudioNode` that is always available."""
+    """An `AudioNode` that does not change."""
 
     name: str
     samplerate: int

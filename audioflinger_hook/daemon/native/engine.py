@@ -97,10 +97,6 @@ class NativeEngine:
         self._config = config
         self.chains.follow(config)
 
-    def set_sound_gains(self, *, streams: float, monitor: float) -> None:
-        """Set the gain of the sound: `monitor` if the monitor is tapped, otherwise `streams`."""
-        self.chains.set_sound_gain(monitor if self.monitor_reason else streams)
-
     def use_monitor(self, reason: str) -> None:
         """Tap the sink's monitor from now on; without a reason, the streams."""
         self._must_use_monitor, self.monitor_reason = bool(reason), reason

@@ -33,7 +33,7 @@ class ChainPlan:
     outputs: int
     actuators: tuple[int, ...]
     parameters: TransformParameters
-    drives: tuple[tuple[str, str, str, str], ...]
+    drives: tuple[tuple[str, ...], ...]
 
     @classmethod
     def of(cls, settings: Settings, tap: Tap, samplerate: int) -> "ChainPlan":
@@ -71,10 +71,7 @@ class ChainPlan:
 
     def drive_plans(self) -> list[DrivePlan | None]:
         """Return a plan for each entry of `drives`. UsageError: a rig is unknown."""
-        return [
-            DrivePlan.of(rig, self.samplerate, damping, protection, exposure_cap)
-            for rig, damping, protection, exposure_cap in self.drives
-        ]
+        return [DrivePlan.of(rig, self.samplerate, *more) for rig, *more in self.drives]
 
     def design(self, drives: Sequence[DriveDesign | None]) -> bytes:
         """Return the design of the C core as bytes. drives: designs for `drive_plans`."""
@@ -89,15 +86,11 @@ class ChainPlan:
         )
 
 
-def drives_of(settings: Settings) -> tuple[tuple[str, str, str, str], ...]:
+def drives_of(settings: Settings) -> tuple[tuple[str, ...], ...]:
     """Return `ChainPlan.drives` for settings."""
+    names = ("rig", "damping", "protection", "exposure_cap")
     return tuple(
-        (
-            one.rig or settings.rig,
-            one.damping or settings.damping,
-            one.protection or settings.protection,
-            one.exposure_cap or settings.exposure_cap,
-        )
+        tuple(getattr(one, name) or getattr(settings, name) for name in names)
         for one in settings.actuators or (settings,)
     )
 

@@ -88,7 +88,7 @@ class NativeRun:
         try:
             engine = self._opened()
             self._set_volume(device, connection, volume)
-            engine.set_sound_gains(streams=sound_gains[0], monitor=sound_gains[1])
+            engine.chains.set_sound_gain(sound_gains[bool(engine.monitor_reason)])
             plays = engine.maintain(source, device, now_s)
         except CushionError as error:
             self._fail(error, now_s)

@@ -135,7 +135,6 @@ class Transport(Protocol):
 
     def run(self, exchange: Exchange) -> None:
         """Run the exchange, then close both streams. Raises an error if a stream cannot open."""
-        ...
 
 
 @dataclass(frozen=True)
