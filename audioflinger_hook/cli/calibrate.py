@@ -5,7 +5,6 @@ import json
 import os
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from pathlib import Path
 
 from audioflinger_hook.cli.terminal import progress_bar, warn
 from device.address import parse_device
@@ -37,7 +36,10 @@ def run(options: argparse.Namespace) -> int:
     """Identify the rig with sweeps of increasing level. An error ends the sequence of sweeps."""
     device = parse_device(options.device)
     rig = rig_by_name(options.rig)
-    _check_out(options.out)
+    if (out := options.out) and out.suffix != ".toml":
+        raise UsageError(f"out={out}: a rig's file ends in .toml, so that --rig accepts it")
+    if out and not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
+        raise UsageError(f"out={out}: the folder {out.parent} cannot be written; choose another")
     sweep = Sweep(low_hz=options.low_hz, high_hz=options.high_hz, duration_s=options.seconds)
     devices = None
     with progress_bar(f"sweeps of {sweep.low_hz:g} to {sweep.high_hz:g} Hz") as show:
@@ -75,13 +77,6 @@ class Progress:
     def within(self, share: float) -> None:
         """Show the progress. share: the finished part of the current sweep, 0 to 1."""
         self._show(self._begun - 1 + share, len(STEPS) + 1)
-
-
-def _check_out(path: Path | None) -> None:
-    if path and path.suffix != ".toml":
-        raise UsageError(f"out={path}: a rig's file ends in .toml, so that --rig accepts it")
-    if path and not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
-        raise UsageError(f"out={path}: the folder {path.parent} cannot be written; choose another")
 
 
 def _end(found: Calibration, rig: Rig, devices: Devices | None, options: argparse.Namespace) -> int:

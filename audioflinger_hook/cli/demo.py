@@ -95,7 +95,12 @@ def run(options: argparse.Namespace) -> int:
         heard.abort()
         chain.abort()
         raise
-    values = _main_values(played)
+    peak = max(float(np.abs(block).max(initial=0.0)) for block in played.vibration)
+    values = {
+        "latency of the transform": f"{framework.latency_s * 1e3:.1f} ms",
+        "vibration, peak": level_text(peak),
+        "acceleration, peak": f"{rig.peak_acceleration_m_s2:.1f} m/s² (predicted)",
+    }
     drawn = True
     try:
         write_bytes_atomically(picture, _picture(played, values))
@@ -169,15 +174,6 @@ def _picture(played: Played, values: Mapping[str, str]) -> bytes:
         ),
         description="; ".join(f"{name}: {value}" for name, value in values.items()),
     )
-
-
-def _main_values(played: Played) -> dict[str, str]:
-    peak = max(float(np.abs(block).max(initial=0.0)) for block in played.vibration)
-    return {
-        "latency of the transform": f"{played.framework.latency_s * 1e3:.1f} ms",
-        "vibration, peak": level_text(peak),
-        "acceleration, peak": f"{played.rig.peak_acceleration_m_s2:.1f} m/s² (predicted)",
-    }
 
 
 def _print_table(out: Path, played: Played, values: Mapping[str, str], drawn: bool) -> None:

@@ -142,16 +142,13 @@ def _run_config(options: argparse.Namespace, edits: Edits | None = None) -> RunC
         )
     run_config = RunConfig(parse_tap(live.tap[0]), parse_device(live.device), settings, live)
     if run_config.device.kind == "usb" and not run_config.tap_is_live:
-        run_config = dataclasses.replace(run_config, past_server=not _server_answers())
+        past_server = True
+        with suppress(LostError):
+            PulseConnection().close()
+            past_server = False
+        run_config = dataclasses.replace(run_config, past_server=past_server)
     _check_config(run_config)
     return run_config
-
-
-def _server_answers() -> bool:
-    with suppress(LostError):
-        PulseConnection().close()
-        return True
-    return False
 
 
 def _check_config(run_config: RunConfig) -> None:

@@ -37,7 +37,9 @@ def run(options: argparse.Namespace) -> int:
     if options.hex is not None and (options.device or options.take_over):
         raise UsageError("--hex decodes a file; leave out DEVICE and --take-over")
     if options.hex is not None:
-        documents = [_document(whole) for whole in _dumped(options.hex)]
+        devices = [parse_whole(raw) for raw in parse_dump(_read(options.hex))]
+        with_audio = [one for one in devices if any(each.uac for each in one.configurations)]
+        documents = [_document(whole) for whole in with_audio or devices]
     else:
         documents = [
             _document(parse_whole(read_descriptors(one)), one, _settings(one, options.take_over))
@@ -58,12 +60,6 @@ def _devices(name: str | None) -> tuple[UsbAudioDevice, ...]:
     if not found.devices:
         raise found.reason or NoUsbDeviceError("no USB audio device is plugged in")
     return found.devices
-
-
-def _dumped(path: Path) -> list[WholeDevice]:
-    """Return the audio devices in a dump; all its devices if none has audio."""
-    devices = [parse_whole(raw) for raw in parse_dump(_read(path))]
-    return [one for one in devices if any(each.uac for each in one.configurations)] or devices
 
 
 def _read(path: Path) -> bytes:

@@ -117,15 +117,10 @@ class Endpoints:
             return ApplicationsInput(config, self._states, apps)
         assert self._pcms is not None
         queue = self.feed = CaptureQueue(config.recording)
-        return SinkInput(
-            config.tap,
-            self._pcms.pcms["cushion_tap"],
-            self._states,
-            queue,
-            block_frames=config.live.block_frames,
-            priority=self._priority,
-            on_heard=self._on_heard,
-        )
+        pcm = self._pcms.pcms["cushion_tap"]
+        tap = SinkInput(config.tap, pcm, self._states, queue, self._priority, self._on_heard)
+        tap.configure(config)
+        return tap
 
     def _make_output(self, config: RunConfig) -> Output:
         if not config.device_is_live:

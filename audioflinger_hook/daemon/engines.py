@@ -107,7 +107,8 @@ class Engines:
             yield f"the sink's monitor is tapped, one cycle later: {native.monitor_reason}"
         if native.chains.problem:
             yield native.chains.problem
-        if native.lacks_realtime:
+        current = native.chains.current
+        if current and current.has_realtime is False and self._config.live.realtime:
             yield priority_advice()
 
     def record(self, now_s: float) -> None:

@@ -30,7 +30,11 @@ def facts_of(settings: Settings) -> Facts:
     """Return all settings that are not None, keyed by name. Paths become absolute."""
     chosen = {field.name: getattr(settings, field.name) for field in fields(settings)}
     parameters = chosen.pop(NESTED)
-    chosen[ACTUATORS] = _as_text(chosen[ACTUATORS])
+    tables = [
+        asdict(replace(one, rig=one.rig and _absolute(one.rig))) for one in settings.actuators
+    ]
+    said = [{key: value for key, value in one.items() if value is not None} for one in tables]
+    chosen[ACTUATORS] = json.dumps(said) if said else None
     chosen[SAID] = ",".join(chosen[SAID]) or None
     chosen |= {field.name: getattr(parameters, field.name) for field in fields(parameters)}
     chosen["rig"] = _absolute(chosen["rig"])
@@ -61,14 +65,6 @@ def settings_from(facts: Facts) -> Settings | None:
         raise UsageError(
             f"the settings in the capture cannot be used ({error}); give others with --config"
         ) from None
-
-
-def _as_text(actuators: tuple[ActuatorSettings, ...]) -> str | None:
-    if not actuators:
-        return None
-    tables = [asdict(replace(one, rig=one.rig and _absolute(one.rig))) for one in actuators]
-    said = [{key: value for key, value in one.items() if value is not None} for one in tables]
-    return json.dumps(said)
 
 
 def _absolute(rig: str) -> str:

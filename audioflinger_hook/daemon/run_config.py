@@ -131,7 +131,10 @@ def changes_between(old: RunConfig, new: RunConfig) -> set[Change]:
     # A running effect accepts another gain and other parameters, so also another profile.
     names = (*LEVELS, "profile", "parameters", "said")
     unaffected = replace(after, **{name: getattr(before, name) for name in names})
-    if _can_change(before, after):
+    # Actuators can change while they play, but neither the sources nor these keys of an actuator.
+    fixed = attrgetter("rig", "damping", "protection", "exposure_cap")
+    were, are = ([*map(fixed, one.actuators)] for one in (before, after))
+    if before.sources == after.sources and were == are:
         unaffected = replace(unaffected, actuators=before.actuators)
         found |= {Change.ACTUATORS} if before.actuators != after.actuators else set()
     return found | {Change.ENGINE} if before != unaffected else found
@@ -141,16 +144,6 @@ def words_of(changes: Set[Change]) -> str:
     """Return the changes for the user, "nothing" for none."""
     hidden = {Change.TRANSFORM, Change.BLOCKS} if Change.ENGINE in changes else set()
     return ", ".join(one.value for one in Change if one in changes - hidden) or "nothing"
-
-
-def _can_change(before: Settings, after: Settings) -> bool:
-    """Whether actuators can change while they play.
-
-    The sources and each actuator's rig, damping, protection and exposure cap must not change.
-    """
-    fixed = attrgetter("rig", "damping", "protection", "exposure_cap")
-    were, are = map(fixed, before.actuators), map(fixed, after.actuators)
-    return before.sources == after.sources and [*were] == [*are]
 
 
 def _selected_sound(config: RunConfig) -> tuple[object, ...]:

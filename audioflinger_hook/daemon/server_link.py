@@ -77,21 +77,18 @@ class DropInControl:
     """The virtual sink to which applications play in drop-in mode."""
 
     def __init__(self, config: RunConfig) -> None:
-        self._drop_in: DropIn | None = None
-        self._wanted_delay_s = 0.0
-        self._restart(config)
-
-    def _restart(self, config: RunConfig) -> None:
         self._config = config
-        self._backoff = Backoff(longest_s=10.0 * LONGEST_S)
+        self._drop_in: DropIn | None = None
         self._target: str | None = None
-        self._refusal = ""
+        self._refusal, self._wanted_delay_s = "", 0.0
+        self._backoff = Backoff(longest_s=10.0 * LONGEST_S)
 
     def follow(self, config: RunConfig) -> None:
         """Apply another config."""
         if config.live.drop_in != self._config.live.drop_in:
             self.close()
-            self._restart(config)
+            self._target, self._refusal = None, ""
+            self._backoff.succeeded()
         self._config = config
 
     def set_delay(self, delay_s: float) -> None:

@@ -11,7 +11,6 @@ from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.latency import parts_of_native, parts_of_python
 from audioflinger_hook.daemon.native.chain import Chain
 from audioflinger_hook.daemon.native.engine import NativeEngine
-from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.drive.drive import DrivenRig
 from audioflinger_hook.service import status as figures
@@ -34,6 +33,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> figures.Status:
         "engine_reason": "",
     }
     played: Sequence[tuple[float, float, float]] = ()
+    level = 0.0 if supervisor.config.muted else db_to_amplitude(supervisor.config.settings.gain_db)
     if chain is not None:
         values["engine_pid"] = chain.process_id
     if native is not None and chain is not None and native.audible:
@@ -54,7 +54,10 @@ def status_of(supervisor: Supervisor, now_s: float) -> figures.Status:
         muted=supervisor.config.muted,
         warnings=tuple(supervisor.warnings),
         device_rate=gathered(figures.DeviceRateFigures, rate) if rate else None,
-        principal=_as_played(played, states.state, supervisor.config),
+        principal=tuple(
+            figures.Partial(sound_hz, hz, level * size)
+            for sound_hz, hz, size in (played if states.state is DaemonState.RUNNING else ())
+        ),
         **values,
     )
 
@@ -158,12 +161,3 @@ def worst_exposure(found: Sequence[figures.ExposureFigures]) -> figures.Exposure
     names = ("time_s", "running_m_s2", "vdv", "above_action", "above_limit")
     worst = {name: max(getattr(one, name) for one in found) for name in names}
     return replace(most, **worst, cap=capped.cap, cap_gain=capped.cap_gain)
-
-
-def _as_played(
-    partials: Sequence[tuple[float, float, float]], state: DaemonState, config: RunConfig
-) -> tuple[figures.Partial, ...]:
-    if state is not DaemonState.RUNNING:
-        return ()
-    level = 0.0 if config.muted else db_to_amplitude(config.settings.gain_db)
-    return tuple(figures.Partial(sound_hz, hz, level * size) for sound_hz, hz, size in partials)

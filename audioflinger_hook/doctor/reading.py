@@ -65,6 +65,7 @@ def _machine(environ: Mapping[str, str]) -> Facts:
     distribution = ""
     with suppress(OSError):
         distribution = platform.freedesktop_os_release().get("PRETTY_NAME", "")
+    services = _printed("sh", "-c", _LIST_SERVICES)
     kernel = f"{platform.system()} {platform.release()} {platform.machine()}"
     return Facts(
         program=__version__,
@@ -74,7 +75,7 @@ def _machine(environ: Mapping[str, str]) -> Facts:
         is_root=os.geteuid() == 0,
         is_realtime=_gets_realtime(),
         rtprio_limit=resource.getrlimit(resource.RLIMIT_RTPRIO)[0],
-        rtkit=_rtkit(),
+        rtkit="org.freedesktop.RealtimeKit1" in services if services else None,
         folders=(
             _folder("runtime", lambda: _runtime_folder(environ), environ.get(VARIABLE, "")),
             _folder("state", lambda: state_folder(environ)),
@@ -153,11 +154,6 @@ def _gets_realtime() -> bool:
 
     with ThreadPoolExecutor(1) as thread:
         return thread.submit(claim).result()
-
-
-def _rtkit() -> bool | None:
-    names = _printed("sh", "-c", _LIST_SERVICES)
-    return "org.freedesktop.RealtimeKit1" in names if names else None
 
 
 def _runtime_folder(environ: Mapping[str, str]) -> Path:

@@ -63,9 +63,6 @@ def _toml(value: object) -> str:
     return repr(float(value)) if isinstance(value, float) else str(value)
 
 
-_STEP = 1e-5
-
-
 def solve_mechanics(mode: acceleration.Mode, rig: Rig) -> Values:
     """Return f0 and Qms for an open coil, from a `Mode` of acceleration per coil voltage.
 
@@ -73,9 +70,10 @@ def solve_mechanics(mode: acceleration.Mode, rig: Rig) -> Values:
     """
     centre = mode.fit.logs[1:3]
     logs = _solve_logs(centre, rig)
-    shifts = _STEP * np.eye(2)
+    step = 1e-5
+    shifts = step * np.eye(2)
     rises = [_solve_logs(centre + s, rig) - _solve_logs(centre - s, rig) for s in shifts]
-    slopes = np.column_stack(rises) / (2.0 * _STEP)
+    slopes = np.column_stack(rises) / (2.0 * step)
     covariance = slopes @ mode.fit.covariance[1:3, 1:3] @ slopes.T
     reach = np.minimum(1.96 * np.sqrt(np.diag(covariance)), 50.0)
     f0, q = (Estimate(*one) for one in np.exp([logs, logs - reach, logs + reach]).T.tolist())

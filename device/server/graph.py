@@ -34,10 +34,6 @@ class PortLatency(NamedTuple):
     frames: float = 0.0
     seconds: float = 0.0
 
-    def total_s(self, cycle_frames: int, samplerate: int) -> float:
-        """Return the sum in seconds. cycle_frames: quantum. samplerate: of the graph, Hz."""
-        return self.seconds + (self.cycles * cycle_frames + self.frames) / samplerate
-
 
 @dataclass(frozen=True, slots=True)
 class Port:
@@ -151,8 +147,9 @@ class Graph:
         node = self.sink(sink)
         if node is None or samplerate <= 0:
             return None
-        inputs = (self.ports[port_id] for port_id in self.ports_of(node.id, "playback_").values())
-        delays_s = [port.latency.total_s(cycle_frames, samplerate) for port in inputs]
+        inputs = self.ports_of(node.id, "playback_").values()
+        latencies = (self.ports[port_id].latency for port_id in inputs)
+        delays_s = [s + (cycles * cycle_frames + n) / samplerate for cycles, n, s in latencies]
         return max(delays_s, key=abs, default=0.0)
 
     def links_of(self, node_id: int) -> Iterator[Link]:

@@ -211,7 +211,7 @@ def change(page: Page, number: int, design: bytes, delay_frames: float = 0.0) ->
     (folder / f"design.{number}").write_bytes(design)
     page.prepare(number, 1, [0])
     page.set_actuator(0, 1.0, delay_frames)
-    page.want(number)
+    page.layout.wanted = number
     file = os.open(folder / "changes", os.O_WRONLY | os.O_NONBLOCK)
     os.write(file, b"\0")
     os.close(file)
@@ -234,7 +234,7 @@ def test_another_design_takes_over_by_a_cross_fade_once_it_heard_the_sound(
     while len(sound) < 20:
         play()
     change(page, 1, second, delay)
-    while page.playing != 1:
+    while page.layout.playing != 1:
         play()
         assert len(sound) < 100_000, "the design was never loaded"
     begin = 1_024 * len(sound) - page.readings.frames
@@ -268,11 +268,11 @@ def test_a_design_that_cannot_be_used_is_refused_and_the_old_one_plays_on(daemon
                 return
 
     change(page, 1, any_design("protected", 44_100, 2))
-    play_until(lambda: page.refused)
-    assert (page.refused, page.playing) == (1, 0)
+    play_until(lambda: page.layout.refused)
+    assert (page.layout.refused, page.layout.playing) == (1, 0)
     change(page, 3, any_design("protected", RATE_HZ, 2))
-    play_until(lambda: page.playing)
-    assert page.playing == 3
+    play_until(lambda: page.layout.playing)
+    assert page.layout.playing == 3
     assert instance.run(sound).any()
 
 
@@ -281,7 +281,7 @@ def test_a_host_that_opens_the_plugin_again_gets_the_latest_design(daemon: Daemo
     change(page, 1, any_design("protected", RATE_HZ, 2))
     instance.close()
     again = Instance("haptic_cushion_daemon", RATE_HZ)
-    assert page.playing == 1
+    assert page.layout.playing == 1
     again.close()
 
 

@@ -234,12 +234,11 @@ class ApplicationsInput(Input):
             capture = captures.open(
                 stream.index, voices.samplerate, voices.channels, partial(self._feed.push, voice)
             )
-        except NotFoundError:  # the stream has ended meanwhile
+        except (LostError, NotFoundError) as error:
             voices.remove(voice)
-            return
-        except LostError:
-            voices.remove(voice)
-            raise
+            if isinstance(error, LostError):
+                raise
+            return  # the stream has ended meanwhile
         self._open[stream.index] = capture, voice
 
     def _end(self, index: int) -> None:

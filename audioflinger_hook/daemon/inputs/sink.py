@@ -40,13 +40,11 @@ class SinkInput(Input):
         pcm: Pcm,
         states: StateKeeper,
         receiver: FrameReceiver,
-        *,
-        block_frames: int = BLOCK_FRAMES,
         priority: AudioPriority | None = None,
         on_heard: Callable[[], None] = lambda: None,
     ) -> None:
         super().__init__(str(address))
-        self.block_frames = block_frames
+        self.block_frames = BLOCK_FRAMES
         self._tap, self._pcm, self._states, self._receiver = address, pcm, states, receiver
         self._priority, self._on_heard = priority, on_heard
         self._heard = self._retargeted = False

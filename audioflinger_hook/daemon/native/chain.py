@@ -170,7 +170,7 @@ class Chain:
         """Let the plugin cross-fade to another plan, if no change is under way."""
         try:
             self.wanted = self._prepared(plan, drives, self.design.number + 1)
-            self.page.want(self.wanted.number)
+            self.page.layout.wanted = self.wanted.number
             file = os.open(self._files["changes"], os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
             try:
                 os.write(file, b"\0")
@@ -183,10 +183,10 @@ class Chain:
         """Detect that the plugin plays the wanted design, or refuses it."""
         if not self.is_changing:
             return
-        if self.page.playing == self.wanted.number:
+        if self.page.layout.playing == self.wanted.number:
             self._design_file(self.design.number).unlink(missing_ok=True)
             self.design = self.wanted
-        elif self.page.refused == self.wanted.number:
+        elif self.page.layout.refused == self.wanted.number:
             self._refuse()
 
     def _refuse(self) -> None:

@@ -86,12 +86,6 @@ class NativeEngine:
         with self.watch.lock:
             return why_unlinkable(self.watch.graph, tap, device.name)
 
-    @property
-    def lacks_realtime(self) -> bool:
-        """Whether the chain lacks the real-time priority that the config wants."""
-        current = self.chains.current
-        return self._config.live.realtime and current is not None and current.has_realtime is False
-
     def follow(self, config: RunConfig) -> None:
         """Apply another config. The next `maintain` starts a new chain if necessary."""
         self._config = config

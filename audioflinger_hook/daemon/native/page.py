@@ -27,7 +27,8 @@ class Page:
 
     Any thread may read levels and counts. channels, vibrations: numbers of sound channels and of
     vibration signals. sources: index of the vibration signal that each actuator plays.
-    reader: reads values for the live page.
+    reader: reads values for the live page. layout: all values; of the numbers of designs in it, the
+    plugin reads `wanted` and writes `playing`, and `refused` if it cannot use a changed design.
     """
 
     def __init__(self, path: Path, channels: int, vibrations: int, sources: Sequence[int]) -> None:
@@ -40,7 +41,7 @@ class Page:
             memory = mmap.mmap(file, SIZE)
         finally:
             os.close(file)
-        self._page = page = Layout.from_buffer(memory)
+        self.layout = page = Layout.from_buffer(memory)
         self.reader = ShownReader(memory, channels, len(sources))
         self.prepare(0, vibrations, sources)
         page.size, page.magic = SIZE, MAGIC
@@ -50,7 +51,7 @@ class Page:
 
         The design that plays must not use this bank.
         """
-        before, bank = self._playing.controls, self._page.banks[number % BANKS]
+        before, bank = self._playing.controls, self.layout.banks[number % BANKS]
         ctypes.memset(ctypes.byref(bank), 0, ctypes.sizeof(bank))
         bank.controls.sound_gain = before.sound_gain if number else 1.0
         for slot, source in enumerate(sources[:ACTUATORS]):
@@ -59,20 +60,6 @@ class Page:
             controls.audible = before.actuators[slot].audible
         self._vibrations = vibrations
         return bank  # type: ignore[no-any-return]
-
-    def want(self, number: int) -> None:
-        """Let the plugin play the design `number`, which must be in its file."""
-        self._page.wanted = number
-
-    @property
-    def playing(self) -> int:
-        """Number of the design that plays."""
-        return int(self._page.playing)
-
-    @property
-    def refused(self) -> int:
-        """Number of the latest changed design that the plugin cannot use, 0 for none."""
-        return int(self._page.refused)
 
     @property
     def controls(self) -> Controls:
@@ -86,7 +73,7 @@ class Page:
 
     @property
     def _playing(self) -> Bank:
-        return self._page.banks[self._page.playing % BANKS]  # type: ignore[no-any-return]
+        return self.layout.banks[self.layout.playing % BANKS]  # type: ignore[no-any-return]
 
     def show(
         self,
@@ -110,7 +97,7 @@ class Page:
 
     def set_sound_gain(self, gain: float) -> None:
         """Set the gain of the tap's samples, 0 or more. The change extends over one buffer."""
-        for bank in self._page.banks:
+        for bank in self.layout.banks:
             bank.controls.sound_gain = gain
 
     def set_actuator(
@@ -120,9 +107,9 @@ class Page:
 
         holds: the design that plays keeps its gain if the new gain is larger.
         """
-        for number, bank in enumerate(self._page.banks):
+        for number, bank in enumerate(self.layout.banks):
             controls = bank.controls.actuators[slot]
-            holds_this = holds and number == self.playing % BANKS
+            holds_this = holds and number == self.layout.playing % BANKS
             if not holds_this or abs(gain) <= abs(controls.gain):
                 controls.gain = gain
             controls.delay_frames = max(0.0, delay_frames)
@@ -134,7 +121,7 @@ class Page:
 
     def set_audible(self, audible: bool) -> None:
         """Fade the vibration of all actuators in or out within 40 ms."""
-        for bank in self._page.banks:
+        for bank in self.layout.banks:
             for controls in bank.controls.actuators:
                 controls.audible = int(audible)
 
@@ -146,7 +133,7 @@ class Page:
     @property
     def samplerate(self) -> int:
         """Sample rate of the plugin in Hz, 0 before the plugin runs."""
-        return int(self._page.samplerate)
+        return int(self.layout.samplerate)
 
     def faded_out(self, actuators: int) -> bool:
         """Whether the first `actuators` actuators are silent."""
@@ -155,7 +142,7 @@ class Page:
     @property
     def cycle_frames(self) -> int:
         """Length of the graph's latest cycle in frames, 0 before the first cycle."""
-        return int(self._page.cycle_frames)
+        return int(self.layout.cycle_frames)
 
     @property
     def levels(self) -> tuple[Level, Level]:

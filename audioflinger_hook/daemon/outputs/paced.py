@@ -89,13 +89,12 @@ class PacedOutput(Output):
     def maintain(self, connection: PulseConnection | None, fill: Fill, now_s: float) -> None:
         """Start or continue the output; raise the error that ended the output, if any."""
         job = self._job
+        assert self._format is not None
         if job is None:
-            assert self._format is not None
             job = self._job = _Writer(self._make(*self._format), self._recording)
         if job.error is not None:
             raise job.error
         if not self._pacer.is_doing(job):
-            assert self._format is not None
             channel_map = channel_map_of(self._settings, self._format[1])
             job.fill = self._router.connect(fill, channel_map, BLOCK_FRAMES)
             if self._recording:
