@@ -15,7 +15,8 @@ class Backoff:
 
     def __init__(self, longest_s: float = LONGEST_S) -> None:
         self._longest_s = longest_s
-        self.succeeded()
+        self._next_wait_s = FIRST_S
+        self._due_s: float | None = None
 
     def failed(self, now_s: float) -> float:
         """Count a failure; return the seconds to wait from `now_s` on."""
@@ -27,7 +28,7 @@ class Backoff:
     def succeeded(self) -> None:
         """Reset, so that the next attempt is due immediately."""
         self._next_wait_s = FIRST_S
-        self._due_s: float | None = None
+        self._due_s = None
 
     def wait_s(self, now_s: float) -> float:
         """Return the seconds until the next attempt; 0 if it is due."""
