@@ -230,7 +230,7 @@ def test_a_missing_link_is_asked_for_again_until_it_comes():
     graph.apply([link(70, 13, 41, graph)])
     for now_s in (1.2, 1.4):
         keeper.update(now_s)
-    assert (len(sent), keeper.are_there({(13, 41)})) == (2, True)
+    assert (len(sent), keeper.missing({(13, 41)})) == (2, set())
 
 
 def test_any_other_link_of_our_nodes_is_removed():
