@@ -18,13 +18,7 @@ from tools.bench.methods import Method, function_method, other_methods, profile_
 from tools.bench.report import BenchReport, Section
 from tools.bench.sections import felt_levels, felt_speech, felt_times
 from tools.bench.sections import real_sounds as section
-from tools.bench.sounds.real_sounds import (
-    KINDS,
-    SOUNDS_COMMAND,
-    SOUNDS_VARIABLE,
-    RealSound,
-    in_half,
-)
+from tools.bench.sounds import real_sounds
 from tools.bench.sounds.signals import SAMPLERATE, tone
 from tools.bench.sounds.unpack_sounds import Choice, choices, name_hash
 from tools.records import PROJECT_ROOT
@@ -38,14 +32,14 @@ UNCHANGED = Method("unchanged", lambda sound, _rate: sound, limited=True)
 def sounds(*kinds):
     rng, decay = np.random.default_rng(3), np.exp(-np.arange(SAMPLERATE // 2) / 2_000.0)
     made = {kind: 0.3 * decay * rng.standard_normal(decay.size) for kind in kinds}
-    return [RealSound(f"{kind}/made", kind, sound) for kind, sound in made.items()]
+    return [real_sounds.RealSound(f"{kind}/made", kind, sound) for kind, sound in made.items()]
 
 
 def test_the_list_asks_for_enough_sounds_of_every_class():
     most = Counter[str]()
     for line in LIST:
         most[line.kind] += line.most
-    assert set(most) == set(KINDS)
+    assert set(most) == set(real_sounds.KINDS)
     assert min(most.values()) >= 20
     assert most.total() >= 190
 
@@ -60,8 +54,8 @@ def test_a_line_chooses_the_same_few_files_from_any_order():
 
 @given(st.sets(st.text("abcdef", min_size=1)))
 def test_halves_share_nothing_leave_nothing_out_and_are_as_large(names):
-    choose, report = (in_half([*names], half) for half in ("choose", "report"))
-    assert sorted(choose + report) == sorted(names) == in_half([*names], "all")
+    choose, report = (real_sounds.in_half([*names], half) for half in ("choose", "report"))
+    assert sorted(choose + report) == sorted(names) == real_sounds.in_half([*names], "all")
     assert len(choose) - len(report) in (0, 1)
 
 
@@ -179,11 +173,14 @@ def test_more_than_150_sounds_are_matched_only_where_no_value_is_chosen_on_them(
 
 
 def test_without_sounds_command_and_section_name_what_fetches_them(monkeypatch, tmp_path, capsys):
-    monkeypatch.setenv(SOUNDS_VARIABLE, str(tmp_path / "none"))
+    monkeypatch.setenv(real_sounds.SOUNDS_VARIABLE, str(tmp_path / "none"))
     assert films.main([]) == 2
-    assert SOUNDS_COMMAND in capsys.readouterr().err
+    assert real_sounds.SOUNDS_COMMAND in capsys.readouterr().err
     found = section.on_real_sounds(a_bench())
-    assert (found.rows, [gone.command for gone in found.missing]) == ((), [SOUNDS_COMMAND])
+    assert (found.rows, [gone.command for gone in found.missing]) == (
+        (),
+        [real_sounds.SOUNDS_COMMAND],
+    )
 
 
 def test_the_picture_is_drawn_from_the_sections_series():

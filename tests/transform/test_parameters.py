@@ -14,18 +14,8 @@ from hypothesis import strategies as st
 from audioflinger_hook.transform import HapticTransform, TransformParameters
 from audioflinger_hook.transform.parameters import check_format
 from device.errors import UsageError
+from tests.support import signals
 from tests.support.parameters import CHOICES, LIMITS
-from tests.support.signals import (
-    FORMS,
-    identical,
-    in_blocks,
-    joined,
-    opened,
-    played,
-    silence,
-    tone,
-    white_noise,
-)
 
 NAMES = [field.name for field in fields(TransformParameters)]
 NUMBERS = [name for name in NAMES if name not in CHOICES]
@@ -160,7 +150,7 @@ def test_what_follows_from_the_parameters_keeps_its_equations(window_s, low, hig
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", signals.FORMS)
 @given(
     st.floats(0.01, 0.2),
     st.floats(20, 1_000),
@@ -183,25 +173,25 @@ def test_all_that_is_allowed_works_or_is_refused_as_wrong_usage(
     assume(high >= 2 * low)
     assume(top >= 2 / window_s)
     parameters = TransformParameters(window_s, low, high, top, threshold, partials)
-    sound = joined(
-        white_noise(0.25, samplerate),
-        tone(min(low * 1.1, samplerate / 3), 0.3, samplerate),
-        silence(0.3, samplerate),
+    sound = signals.joined(
+        signals.white_noise(0.25, samplerate),
+        signals.tone(min(low * 1.1, samplerate / 3), 0.3, samplerate),
+        signals.silence(0.3, samplerate),
     )
     try:
-        opened(samplerate, 1, form, parameters=parameters)
+        signals.opened(samplerate, 1, form, parameters=parameters)
     except UsageError as refusal:
         # The one combination that cannot work: the band begins above half the samplerate.
         assert low >= 0.45 * samplerate
         assert "band_low_hz" in str(refusal)  # noqa: PT017
         return
-    vibration = played(sound, samplerate, form=form, parameters=parameters)
+    vibration = signals.played(sound, samplerate, form=form, parameters=parameters)
     assert np.isfinite(vibration).all()
     if form != "reference":
         assert np.abs(vibration).max(initial=0.0) < 1.0
     blocks = [997] * (sound.size // 997)
-    cut = in_blocks(sound, blocks, samplerate, form=form, parameters=parameters)
-    assert identical(cut, vibration)
+    cut = signals.in_blocks(sound, blocks, samplerate, form=form, parameters=parameters)
+    assert signals.identical(cut, vibration)
 
 
 @pytest.mark.parametrize(
@@ -229,7 +219,9 @@ def test_an_unknown_form_is_refused_with_the_known_ones():
         HapticTransform(48_000, form="alive")  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", signals.FORMS)
 def test_one_channel_may_come_with_or_without_its_axis(form):
-    sound = tone(300, 0.2, 48_000)
-    assert identical(played(sound, 48_000, form=form), played(sound[:, None], 48_000, form=form))
+    sound = signals.tone(300, 0.2, 48_000)
+    assert signals.identical(
+        signals.played(sound, 48_000, form=form), signals.played(sound[:, None], 48_000, form=form)
+    )
