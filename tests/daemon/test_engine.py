@@ -255,7 +255,7 @@ def test_a_watched_page_reads_what_the_engine_measured(tmp_path, actuators):
     assert (numbers, engine.live.page.frames) == (pytest.approx(expected), engine.frames)
 
 
-def test_nothing_is_written_while_nobody_watches(tmp_path):
+def test_nothing_is_written_while_nobody_watches_or_that_the_file_cannot_hold(tmp_path):
     engine = engine_with(tmp_path)
     watched(engine, 8)
     assert engine.live.page.frames == 0
@@ -265,6 +265,9 @@ def test_nothing_is_written_while_nobody_watches(tmp_path):
     assert 0 < written < engine.frames
     watched(engine, 8)
     assert engine.live.page.frames == written
+    assert engine_with(tmp_path, channels=9).live is None
+    assert engine_with(None).live is None
+    assert engine_with(tmp_path / "none").live is None
 
 
 def test_each_engine_has_a_file_of_its_own_and_old_ones_are_removed(tmp_path):
@@ -276,9 +279,3 @@ def test_each_engine_has_a_file_of_its_own_and_old_ones_are_removed(tmp_path):
     second.live.close()
     second.live.close()
     assert not list(tmp_path.iterdir())
-
-
-def test_what_the_file_cannot_hold_is_left_to_the_socket(tmp_path):
-    assert engine_with(tmp_path, channels=9).live is None
-    assert engine_with(None).live is None
-    assert engine_with(tmp_path / "none").live is None

@@ -181,8 +181,7 @@ def test_a_gain_rises_in_a_design_with_another_protection_only_once_that_one_pla
         rig: Any = {"rig": "consumer", "protection": protection} if protection == "on" else {}
         chains.follow(config(settings=Settings(gain_db=gain_db, **rig)))
         gains = [bank.controls.actuators[0].gain for bank in page._page.banks]
-        wanted = [db_to_amplitude(playing_db), db_to_amplitude(next_db)]
-        assert gains == pytest.approx(wanted)
+        assert gains == pytest.approx([db_to_amplitude(playing_db), db_to_amplitude(next_db)])
     page.close()
 
 

@@ -36,9 +36,13 @@ def case(tmp_path):
     return Case(tmp_path)
 
 
-def test_it_is_never_below_0_without_drop_in_mode(case):
+def test_it_is_never_below_0_without_drop_in_mode_nor_more_than_the_engines_can_delay(case):
     assert case.update(offset.Declared(0.0, 0.3, is_known=True)) == 0.0
     assert (case.update(BLUETOOTH, own_s=0.25), case.offset.sound_s) == (0.0, 0.0)
+    assert (
+        case.update(offset.Declared(offset.LONGEST_S, 0.0, is_known=True), own_s=-0.1)
+        == offset.LONGEST_S
+    )
 
 
 def test_only_changes_of_more_than_5_ms_are_followed(case):
@@ -60,13 +64,6 @@ def test_slow_changes_are_followed_before_they_add_up(case):
             abs(case.update(offset.Declared(heard_s, 0.0, is_known=True)) - (heard_s - OWN_S))
         )
     assert max(errors_s) <= offset.FOLLOWED_S + 1e-9
-
-
-def test_it_is_at_most_what_the_engines_can_delay(case):
-    assert (
-        case.update(offset.Declared(offset.LONGEST_S, 0.0, is_known=True), own_s=-0.1)
-        == offset.LONGEST_S
-    )
 
 
 def test_a_stored_delay_ends_the_trial_and_wins_over_a_declared_one_for_its_pair_only(tmp_path):

@@ -135,16 +135,13 @@ def test_a_configuration_is_sent_only_where_it_is_new():
     assert module.set_config("48000") == EINVAL
 
 
-def test_an_engine_that_refuses_to_start_is_named_and_stays_idle():
+def test_an_engine_that_refuses_to_start_or_init_is_named_and_stays_idle():
     module = module_of(Probe(), ENABLE=(EINVAL, None))
     module.set_config(config())
     module.enable()
     cycle(module)
     assert (module.state.name, module.refusals) == ("IDLE", 1)
     assert module.complaint == "refused ENABLE (status -22)"
-
-
-def test_an_engine_that_refuses_init_is_passed_by_until_it_takes_it():
     probe = Probe()
     module = module_of(probe, INIT=(EINVAL, None))
     assert (module.set_config(config()), module.bypassed) == (EINVAL, "refused INIT (status -22)")

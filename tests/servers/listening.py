@@ -142,8 +142,7 @@ def steady(out: Float32Array, now_s: float) -> None:
 
 def noise(seconds: float, seed: int = 1) -> Float32Array:
     """Stereo float32 noise without a zero: every sample tells where it belongs."""
-    generator = np.random.default_rng(seed)
-    samples = generator.uniform(0.05, 0.5, (int(seconds * RATE_HZ), 2))
+    samples = np.random.default_rng(seed).uniform(0.05, 0.5, (int(seconds * RATE_HZ), 2))
     return samples.astype(np.float32)
 
 

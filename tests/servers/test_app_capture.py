@@ -278,8 +278,7 @@ def test_an_application_that_pauses_already_is_captured_once_it_goes_on(server, 
         wait_for(lambda: stream_of(connection, player.process.pid).corked, "the pause")
         collector, unwanted = Collector(), Collector()
         capture = apps.open(player.index, RATE_HZ, 2, collector)
-        given_up = apps.open(player.index, RATE_HZ, 2, unwanted)
-        assert given_up.close()
+        assert apps.open(player.index, RATE_HZ, 2, unwanted).close()
         assert capture.ended is None
         assert not collector.frames().any()
         player.tell("go on")

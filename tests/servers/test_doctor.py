@@ -37,8 +37,7 @@ class Visit:
 
     def facts(self, label: str) -> str:
         """The facts of one label, a line each."""
-        known = self.document["facts"]
-        return "\n".join(one["text"] for one in known if one["label"] == label)
+        return "\n".join(one["text"] for one in self.document["facts"] if one["label"] == label)
 
 
 def visit(

@@ -73,8 +73,7 @@ class Watched:
 
     @property
     def resyncs(self) -> int:
-        counts = [status.resyncs for status in self.statuses]
-        return int(np.sum(np.diff(counts)[self.clear[1:]]))
+        return int(np.sum(np.diff([status.resyncs for status in self.statuses])[self.clear[1:]]))
 
     def __str__(self) -> str:
         errors_ms = self.errors_ms

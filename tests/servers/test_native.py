@@ -204,8 +204,7 @@ def test_a_change_of_engine_costs_under_2_s_and_does_not_click(pipewire, engine,
 def test_it_idles_without_processor_time_and_wakes_at_once(pipewire, tmp_path):
     with running(pipewire, engine="native") as daemon:
         daemon.wait_state(DaemonState.IDLE)
-        child = engine_process(daemon)
-        used = cpu_percent(daemon.process.pid, child, seconds=10.0)
+        used = cpu_percent(daemon.process.pid, engine_process(daemon), seconds=10.0)
         assert used[0] <= 0.5  # it answers to changes of the server once a second
         assert used[1] <= 0.1
         with (

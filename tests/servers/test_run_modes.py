@@ -130,8 +130,7 @@ def test_the_tap_follows_the_default_sink(server, engine, tmp_path):
 def test_the_device_as_default_sink_feeds_nothing_back(server, engine, tmp_path):
     with vibrating(server, tmp_path, tone(60.0, 60.0), engine=engine) as (daemon, felt):
         server.pactl("set-default-sink", "haptic")
-        status = daemon.wait_state(DaemonState.WAITING_FOR_SOUND_SOURCE)
-        assert "feed back" in status.reason
+        assert "feed back" in daemon.wait_state(DaemonState.WAITING_FOR_SOUND_SOURCE).reason
         listening.wait_for(
             lambda: TAG not in server.pactl("list", "source-outputs"), "an end of the tap"
         )

@@ -183,8 +183,7 @@ def test_another_device_has_the_vibration_and_the_first_one_no_more(server, play
         assert abs(daemons.pitch_hz(more(sound, 0.5)) - TONE_HZ) < 2.0
         status = daemon.wait_state(DaemonState.RUNNING)
         assert (status.device.name, status.device.address) == ("seat", "sink:seat")
-        holder = daemons.cushion(server, "run", "--device", "haptic").stderr
-        assert "device sink:seat" in holder
+        assert "device sink:seat" in daemons.cushion(server, "run", "--device", "haptic").stderr
 
 
 def test_another_tap_is_felt_and_the_output_goes_on(server, plays, config):
@@ -205,8 +204,7 @@ def bursts(seconds: float) -> Float32Array:
     """Noise that comes and goes without a period: a delay has one place where it fits."""
     generator = np.random.default_rng(5)
     sound = noise(seconds, 3) - np.float32(0.275)
-    pieces = generator.uniform(0.1, 0.4, int(seconds * 10))
-    edges = (np.cumsum(pieces) * RATE_HZ).astype(int)
+    edges = (np.cumsum(generator.uniform(0.1, 0.4, int(seconds * 10))) * RATE_HZ).astype(int)
     for start, end in zip(edges[::2], edges[1::2], strict=False):
         sound[start:end] = 0.0
     return sound

@@ -56,7 +56,7 @@ def test_a_state_that_goes_on_keeps_its_start_and_takes_the_new_reason():
     assert keeper.report(0.0).since_s == 0.0  # a clock that runs back
 
 
-def test_a_report_is_a_picture_that_does_not_change():
+def test_a_report_does_not_change_and_its_reason_is_a_printable_line_of_bounded_length():
     keeper = StateKeeper(0.0)
     report = keeper.report(1.0)
     keeper.count(Cause.RESYNC)
@@ -65,9 +65,6 @@ def test_a_report_is_a_picture_that_does_not_change():
     assert report.state is S.STARTING
     with pytest.raises(TypeError):
         report.recoveries[Cause.RESYNC] = 1  # type: ignore[index]
-
-
-def test_a_reason_becomes_one_printable_line_of_bounded_length():
     keeper = StateKeeper(0.0)
     keeper.enter(S.WAITING_FOR_SERVER, 0.0, "\x1b[2J no\n server " + "x" * 10**6)
     reason = keeper.report(0.0).reason

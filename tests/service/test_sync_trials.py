@@ -63,25 +63,18 @@ def test_a_delay_is_found_to_8_ms_in_a_minute_by_9_of_10_people(people):
     )  # a daemon can play these
 
 
-def test_the_credible_interval_holds_the_delay_as_often_as_it_says(people):
+def test_the_credible_interval_holds_as_often_as_it_says_and_a_test_ends_once_it_is_narrow(
+    people,
+):
     # 95 of 100, less two standard deviations of such a count
     held = [done.found.low_ms <= delay_ms <= done.found.high_ms for delay_ms, done in people]
     assert sum(held) >= 90
-
-
-def test_a_test_ends_once_the_interval_is_narrow_else_after_a_minute(people):
     for _, done in people:
         assert (
             done.found.width_ms <= sync_trials.NARROW_MS
             or done.seconds > sync_trials.LONGEST_S - TRIAL_S
         )
     assert min(done.seconds for _, done in people) < 0.75 * sync_trials.LONGEST_S
-
-
-def test_people_who_are_sure_are_done_sooner():
-    random = np.random.default_rng(1)
-    seconds = [done_by(random.uniform(50, 300), random, scatter_ms=5.0).seconds for _ in range(20)]
-    assert np.median(seconds) <= 0.6 * sync_trials.LONGEST_S
 
 
 @pytest.mark.parametrize("delay_ms", [sync_trials.EARLIEST_MS, -40.0])
@@ -92,12 +85,15 @@ def test_a_sound_before_its_vibration_gives_0_and_says_so(delay_ms):
     assert (done.found.low_ms, done.found.high_ms) <= (0.0, sync_trials.NARROW_MS)
 
 
-def test_a_long_delay_is_not_clipped_and_one_that_is_too_long_is_not_usable():
+def test_a_long_delay_is_not_clipped_a_longer_one_not_usable_and_who_is_sure_is_done_sooner():
     done = done_by(sync_trials.FOUND_MS, np.random.default_rng(3))
     assert abs(done.error_ms) <= 8.0
     assert not done.found.is_clipped
     assert done.found.is_usable
     assert not done_by(sync_trials.LONGEST_MS + 100.0, np.random.default_rng(3)).found.is_usable
+    random = np.random.default_rng(1)
+    seconds = [done_by(random.uniform(50, 300), random, scatter_ms=5.0).seconds for _ in range(20)]
+    assert np.median(seconds) <= 0.6 * sync_trials.LONGEST_S
 
 
 @pytest.mark.parametrize("wrong", [0, 1, 2])
@@ -107,10 +103,14 @@ def test_a_wrong_answer_among_the_first_is_made_up_for(wrong):
     assert done.found.delay_ms == pytest.approx(120.0, abs=8.0)
 
 
-def test_the_answers_of_people_who_guess_are_not_usable():
+def test_the_answers_of_people_who_guess_are_not_usable_and_before_any_nothing_is_known():
     random = np.random.default_rng(5)
     usable = [done_by(150.0, random, lapses=1.0).found.is_usable for _ in range(20)]
     assert sum(usable) <= 1  # chance may agree with itself
+    found = sync_trials.SyncTrials(0.0).estimate()
+    assert found.width_ms > 0.9 * sync_trials.LONGEST_MS
+    assert not found.is_usable
+    assert not found.is_clipped
 
 
 @pytest.mark.parametrize("always", [sync_trials.Answer.TOGETHER, sync_trials.Answer.FELT_FIRST])
@@ -119,10 +119,3 @@ def test_the_same_answer_to_all_offsets_is_not_usable(always):
     while not trials.is_over(TRIAL_S * trials.count):
         trials.add(trials.next_ms(), always)
     assert not trials.estimate().is_usable
-
-
-def test_before_any_answer_nothing_is_known():
-    found = sync_trials.SyncTrials(0.0).estimate()
-    assert found.width_ms > 0.9 * sync_trials.LONGEST_MS
-    assert not found.is_usable
-    assert not found.is_clipped

@@ -69,8 +69,7 @@ def config(
 def noise(frames=FRAMES, channels=2, haptic_channels=1, seed=0, level=0.1):
     """A buffer of noise, in its haptic channels too: what is stale there must not pass."""
     buffer = MixBuffer(frames, channels, haptic_channels)
-    rng = np.random.default_rng(seed)
-    buffer.samples[:] = level * rng.standard_normal(buffer.samples.size)
+    buffer.samples[:] = level * np.random.default_rng(seed).standard_normal(buffer.samples.size)
     return buffer
 
 

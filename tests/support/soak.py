@@ -75,8 +75,7 @@ def soak_tone(hops: int = soak_record.HOPS) -> soak_record.SoakRecord:
 def soak_identification(share: float, rigs: int = soak_record.RIGS) -> soak_record.SoakRecord:
     """What is found of many random rigs by sweeps of that share of Xmax."""
     start_s = time.process_time()
-    pairs = [identified(seed, share) for seed in range(rigs)]
-    found = found_of(pairs)
+    found = found_of([identified(seed, share) for seed in range(rigs)])
     return soak_record.SoakRecord(
         what=f"sweeps at {share:g} Xmax",
         date=now(),

@@ -39,30 +39,24 @@ def test_a_design_is_read_as_it_was_written(parameters, samplerate):
     assert pickle.loads(pickle.dumps(design)) == design
 
 
-def test_designs_of_other_parameters_or_rates_are_others():
+def test_designs_of_other_parameters_or_rates_are_others_and_of_whole_numbers_the_same():
     designs = [LiveDesign.of(parameters, RATE) for parameters in PARAMETERS]
     designs.append(LiveDesign.of(PARAMETERS[0], 2 * RATE))
     designs.append(LiveDesign.of(PARAMETERS[0], RATE, find_onsets=False))
     assert len(set(designs)) == len(designs)
     assert DESIGN != BLOB
-
-
-def test_whole_numbers_among_the_parameters_make_the_same_design():
     whole = TransformParameters(band_low_hz=50, loudness_target_db=-18, threshold_hz=1)
     exact = TransformParameters(band_low_hz=50.0, loudness_target_db=-18.0, threshold_hz=1.0)
     design = LiveDesign.of(whole, RATE)
     assert design == LiveDesign.of(exact, RATE) == LiveDesign.from_bytes(design.to_bytes())
 
 
-def test_a_design_cannot_be_changed():
+def test_a_design_cannot_be_changed_and_every_setting_has_one_name():
     with pytest.raises(FrozenInstanceError):
         DESIGN.samplerate = 1  # type: ignore[misc]
     for name, value in DESIGN.settings().items():
         if isinstance(value, np.ndarray):
             assert not value.flags.writeable, name
-
-
-def test_every_setting_has_one_name():
     names = [item.name for kind in SECTIONS.values() for item in fields(kind)]
     assert len(names) == len(set(names)) == len(DESIGN.settings())
     assert max(map(len, names)) <= 36

@@ -78,14 +78,11 @@ def test_each_reading_is_of_the_channel_where_it_is_largest():
     assert (hum.above_action, both.above_action) == (False, True)
 
 
-def test_values_of_the_directive_are_told():
+def test_values_of_the_directive_are_told_and_how_much_is_extrapolated():
     over = replace(NOTHING, a8_m_s2=0.5)
     assert (over.above_action, over.above_limit) == (True, False)
     assert not replace(NOTHING, a8_m_s2=0.49, vdv=9.0).above_action
     assert replace(NOTHING, vdv=21.0).above_limit
-
-
-def test_it_says_how_much_is_extrapolated():
     shares = []
     for frequency_hz in (30.0, 180.0):
         driven = RigDriver(BARE, 6_000)

@@ -222,7 +222,7 @@ def test_nothing_that_is_printed_breaks_the_graph(printed):
     assert (71, 11) in {one.pair for one in graph.links_of(10)}
 
 
-def test_a_missing_link_is_asked_for_again_until_it_comes():
+def test_a_missing_link_is_asked_for_until_it_comes_and_any_other_of_our_nodes_removed():
     graph, keeper, sent = kept()
     for now_s in (1.0, 1.01, 1.0 + RETRY_S):
         keeper.update(now_s)
@@ -231,9 +231,6 @@ def test_a_missing_link_is_asked_for_again_until_it_comes():
     for now_s in (1.2, 1.4):
         keeper.update(now_s)
     assert (len(sent), keeper.are_there({(13, 41)})) == (2, True)
-
-
-def test_any_other_link_of_our_nodes_is_removed():
     graph, keeper, sent = kept()
     later(keeper, 1.0, link(70, 13, 41, graph), link(71, 14, 41, graph), link(72, 13, 21, graph))
     assert sent == ["destroy 71"]
