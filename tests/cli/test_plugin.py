@@ -47,8 +47,7 @@ def test_install_writes_everything_twice_the_same_and_remove_takes_it_back(home:
     assert 'target.object = "dac"' in chain
     library = home / ".local/share/haptic-cushion/haptic_cushion.so"
     assert call("plugin", "path").stdout.strip() == str(library)
-    assert call("plugin", "remove").code == 0
-    assert files(home) == [own.relative_to(home)]
+    assert (call("plugin", "remove").code, files(home)) == (0, [own.relative_to(home)])
     assert call("plugin", "remove").stdout == ""
 
 

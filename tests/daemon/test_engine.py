@@ -170,7 +170,7 @@ def rests_after(rest: IdlePolicy, began_s: float, players: frozenset[int], sound
     raise AssertionError("it never rests")
 
 
-def test_it_rests_soon_if_nothing_plays_later_if_something_silent_does_and_not_in_sound():
+def test_it_rests_soon_or_later_and_not_in_sound_and_wakes_by_a_new_stream_or_by_sound():
     assert rests_after(IdlePolicy(0.0), 100.0, NOBODY, 100.0) - 100.0 < QUIET_S + 0.2
     assert rests_after(IdlePolicy(0.0), 0.0, NOBODY, -100.0) > AWAKE_S  # it has just begun
     rest = IdlePolicy(0.0)
@@ -178,9 +178,6 @@ def test_it_rests_soon_if_nothing_plays_later_if_something_silent_does_and_not_i
     assert SILENT_S < rests_after(rest, 100.0, frozenset({1}), 100.0) - 100.0 < SILENT_S + 0.2
     rest = IdlePolicy(0.0)
     assert not any(rest.update(now_s, NOBODY, now_s - 1.0, heard=False) for now_s in range(100))
-
-
-def test_a_stream_that_comes_wakes_it_and_so_does_sound_but_not_a_stream_that_goes():
     rest = IdlePolicy(0.0)
     rests_after(rest, 10.0, frozenset({1, 2}), 10.0)
     assert rest.update(50.0, frozenset({2}), 10.0, heard=False)

@@ -55,8 +55,7 @@ def test_a_damaged_file_is_set_aside_with_a_warning_and_a_new_one_works(tmp_path
     assert "cushion sync" in store.warning
     assert (tmp_path / DAMAGED).read_text() == content
     store.store(HEADPHONES, 0.1)
-    assert store.warning == ""
-    assert OffsetStore(tmp_path).delay_s(HEADPHONES) == 0.1
+    assert (store.warning, OffsetStore(tmp_path).delay_s(HEADPHONES)) == ("", 0.1)
 
 
 @given(st.binary(max_size=200))

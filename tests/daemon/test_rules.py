@@ -156,8 +156,7 @@ def test_the_rule_of_an_applications_own_name_acts_before_patterns_unless_it_cha
     ("name", "match"), [("Film [4K", "Film [[]4K"), ("Film [4K]", "Film [4K]")]
 )
 def test_the_rule_of_a_name_with_a_bracket_acts_before_patterns(name, match):
-    own = ApplicationRule(match=match, profile="music")
-    acting = ActingRule()
+    own, acting = ApplicationRule(match=match, profile="music"), ActingRule()
     acting.update(seen(stream(4, name)), config_of(replace(own, match="*"), own), "dac")
     assert acting.rule == own
 

@@ -93,8 +93,10 @@ def with_status(**values: Any) -> Facts:
     return changed(status=replace(STATUS, **values))
 
 
-def test_a_healthy_set_up_has_no_finding() -> None:
+def test_a_healthy_set_up_has_no_finding_and_every_finding_has_a_case() -> None:
     assert (names(HEALTHY), findings_text([], [])) == ([], "Nothing is wrong.")
+    assert {name.split()[0] for name in TEXTS} - ELSEWHERE == set(CASES)
+    assert set(REPAIRS) <= set(TEXTS)
 
 
 MISTAKE = Mistake("gain_db", 3, "99", "is out of range", "-60 to 24")
@@ -148,11 +150,6 @@ def test_the_offset_is_shown_and_pulseaudio_leads_to_the_drop_in_mode_that_finds
     assert "194.5 ms, declared by the sink" in shown
     (found,) = find(CASES["pulseaudio"])
     assert found.command == "cushion run --drop-in"
-
-
-def test_every_finding_has_a_case_and_every_repair_a_finding() -> None:
-    assert {name.split()[0] for name in TEXTS} - ELSEWHERE == set(CASES)
-    assert set(REPAIRS) <= set(TEXTS)
 
 
 def test_a_daemon_an_engine_or_a_config_that_says_what_is_wrong_is_a_finding() -> None:

@@ -131,8 +131,7 @@ def run(shared: Path, command: Sequence[str], limit_s: float) -> None:
     """
     cgroups = _cgroups()
     assert cgroups is not None
-    cgroup = cgroups / f"cushion-test-{os.getpid()}"
-    layer = shared / "layer"
+    cgroup, layer = cgroups / f"cushion-test-{os.getpid()}", shared / "layer"
     layer.mkdir()
     words = " ".join(f'"{word}"' for word in command)
     (shared / "booted.service").write_text(_SERVICE.format(root=ROOT, command=words, shared=shared))

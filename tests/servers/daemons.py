@@ -234,8 +234,7 @@ def likeness(heard: NDArray[np.float64], wanted: NDArray[np.float64]) -> float:
 
     A busy machine makes the daemon provide for more lateness meanwhile, which is no other sound.
     """
-    lag = best_lag(heard, wanted)
-    aligned = np.zeros_like(wanted)
+    lag, aligned = best_lag(heard, wanted), np.zeros_like(wanted)
     for start in range(0, len(wanted), 1_000):
         part = wanted[start : start + 1_000]
         near = heard[max(0, lag + start - 60) : lag + start + 60 + len(part)]

@@ -75,8 +75,7 @@ def insist_on_default(server: SoundServer, connection: PulseConnection, sink: st
 
     def stays() -> bool:
         server.choose_default(sink)
-        asked_s = time.monotonic()
-        seen_s = None
+        asked_s, seen_s = time.monotonic(), None
         while time.monotonic() - asked_s < 2.0:
             if connection.snapshot().default_sink != sink:
                 seen_s = None

@@ -116,8 +116,7 @@ def test_a_lost_server_means_silence(server, pcms, connection):
 def test_a_refuge_left_over_is_taken_over(server, connection):
     if server.kind == "pipewire":
         pytest.skip("PipeWire needs no refuge")
-    first = FallbackSink(connection)
-    second = FallbackSink(connection)
+    first, second = FallbackSink(connection), FallbackSink(connection)
     assert first.active
     assert second.active
     assert server.names("sinks").count(FALLBACK_SINK) == 1

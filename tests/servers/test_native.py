@@ -55,8 +55,7 @@ def back_within(felt: Callable[[], Float32Array], since_s: float, what: str) -> 
 
 def test_auto_takes_the_native_engine_on_pipewire_and_says_so(pipewire):
     with running(pipewire, engine=None) as daemon:
-        status = daemon.wait_ready()
-        shown = cushion(pipewire, "status")
+        status, shown = daemon.wait_ready(), cushion(pipewire, "status")
     assert (status.engine, status.engine_reason) == ("native", "")
     assert daemon.stderr.count("the native engine plays") == 1
     assert status.latency.total_ms < 12.0

@@ -223,8 +223,7 @@ def test_silence_costs_little_and_the_sound_after_it_is_felt(server, scene, tmp_
         recording(server, "haptic.monitor", tmp_path / "felt") as felt,
     ):
         daemon.wait_state(DaemonState.IDLE)
-        idle_percent = least_cpu_percent(daemon, IDLE_PERCENT)
-        began = len(felt())
+        idle_percent, began = least_cpu_percent(daemon, IDLE_PERCENT), len(felt())
         with playing(server, "desktop", np.tile(sound, (8, 1))):
             wait_for(lambda: daemons.felt_now(felt), "vibration", 2.0)
             playing_percent = least_cpu_percent(daemon, PLAYING_PERCENT)

@@ -315,8 +315,7 @@ def test_a_volume_of_stream_or_sink_is_not_felt(server, tmp_path, engine):
         both: Any = daemon.status()
         server.pactl("set-sink-volume", "desktop", "100%")
         server.pactl("set-sink-input-volume", player, "100%")
-        again_db = felt_db(felt, SETTLES_S)
-        begun = len(felt())
+        again_db, begun = felt_db(felt, SETTLES_S), len(felt())
         for percent in (95, 90, 85, 80, 85, 90, 95, 100):  # as keys of a keyboard make it
             server.pactl("set-sink-volume", "desktop", f"{percent}%")
             felt_db(felt, 0.0)

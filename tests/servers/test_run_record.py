@@ -101,8 +101,7 @@ def test_a_replay_gives_what_was_felt_through_a_switch_a_pause_and_idling(server
         assert daemon.end() == 130
     frames, warnings = replayed(server, record, tmp_path / "out.wav")
     again = vibration(tmp_path / "out.wav")
-    assert warnings == ""
-    assert again.shape[1] == 2
+    assert (warnings, again.shape[1]) == ("", 2)
     assert frames > 10 * RATE_HZ
     assert np.abs(again).max() > 0.01
     assert status.recoveries[Cause.DEFAULT_CHANGED] == 1

@@ -121,8 +121,7 @@ def test_the_device_s_own_volume_is_set_as_asked_and_left_alone_otherwise(server
 
     server.pactl("set-sink-volume", "haptic", "-30dB")
     server.pactl("set-sink-mute", "haptic", "1")
-    before = volume_of(server, "desktop")
-    path = config()
+    before, path = volume_of(server, "desktop"), config()
     with (
         playing(server, "desktop", daemons.tone(TONE_HZ, 60.0)),
         daemons.running(server, "--config", str(path), device=None) as daemon,

@@ -247,8 +247,7 @@ def test_python_meets_a_stream_s_thread_once_and_forgets_it_at_the_end(server, p
         met.clear()
         stream = CaptureStream(pcms.pcms["cushion_tap"], listening.RATE_HZ, 2, note)
         listening.wait_for(lambda: stream.callbacks > 100, "callbacks")
-        assert len(met) == 1
-        assert thread_states() == before + 1
+        assert (len(met), thread_states()) == (1, before + 1)
         assert stream.close()
         return thread_states() == before
 

@@ -270,7 +270,7 @@ def capped(rig, samplerate, used):
     return protector
 
 
-def test_the_gain_of_the_exposure_cap_is_kept():
+def test_the_gain_of_the_exposure_cap_is_kept_and_it_is_named_where_others_limit_too():
     used = 1.0 - 0.25**2 / 2.0  # of the dose: half of it is free, and the rest allows 0.25
     protector, drive = capped(PAPER, RATE, used), 0.5 * tone(50.0, 0.5)[:, None]
     out, latency = protector.process(drive), protector.latency_frames
@@ -278,9 +278,6 @@ def test_the_gain_of_the_exposure_cap_is_kept():
     # What is added meanwhile lowers the gain a little.
     np.testing.assert_allclose(out[RATE // 4 : RATE // 2, 0], expected, rtol=1e-3, atol=1e-7)
     assert protector.protection().limited_by == "outside"
-
-
-def test_the_cap_is_named_although_the_drive_is_beyond_other_limits_too():
     drive = tone(60.0, 0.5, 6_000)[:, None]
     for used, limited_by in ((0.0, "excursion, current or level"), (0.99, "outside")):
         protector = capped(LOUDER, 6_000, used)

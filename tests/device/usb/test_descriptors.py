@@ -15,10 +15,13 @@ def played(raw):
     return playback_formats(configuration)
 
 
-def test_a_device_descriptor_is_read_even_where_more_follows_it():
+def test_a_device_descriptor_is_read_where_more_follows_and_continuous_rates_are_a_range():
     device = parse_device(usb.device(0x1209, 0xBEEF, usb.IAD) + SHAPES["async_dac"])
     assert (device.vendor_id, device.product_id) == (0x1209, 0xBEEF)
     assert (device.usb, device.release, device.configurations) == (0x0200, 0x0123, 1)
+    (only,) = played(SHAPES["continuous_rates"])
+    assert (only.samplerates, only.subslot_bytes, only.bits) == (RateRange(8_000, 48_000), 3, 24)
+    assert (only.volume_channels, only.mute_channels) == ((0,), (0,))
 
 
 def test_an_adapter_without_a_master_volume_has_one_for_each_channel_behind_its_mixer():
@@ -31,12 +34,6 @@ def test_an_adapter_without_a_master_volume_has_one_for_each_channel_behind_its_
     assert (only.feedback_endpoint, only.implicit_feedback) == (None, False)
     assert (only.control_interface, only.path, only.feature_unit) == (0, (1, 15, 9, 6), 9)
     assert (only.volume_channels, only.mute_channels, only.encodings) == ((1, 2), (0,), ("PCM",))
-
-
-def test_continuous_samplerates_are_a_range():
-    (only,) = played(SHAPES["continuous_rates"])
-    assert (only.samplerates, only.subslot_bytes, only.bits) == (RateRange(8_000, 48_000), 3, 24)
-    assert (only.volume_channels, only.mute_channels) == ((0,), (0,))
 
 
 @pytest.mark.parametrize("synch", [0x81, 1], ids=["address", "number without direction"])
