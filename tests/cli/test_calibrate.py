@@ -142,9 +142,9 @@ def test_clipping_and_a_rig_that_moves_further_than_it_says_are_refused():
     assert "acceleration: " in stopped(laboratory)
     assert len(laboratory.levels) == 1
     small = replace(PAPER, actuator=replace(PAPER.actuator, x_max_m=2e-4))
-    laboratory = SimulatedLaboratory(PAPER)
+    twin = SimulatedLaboratory(PAPER)
     with pytest.raises(IdentificationError, match="moves more than it says"):
-        calibrate(laboratory, small, laboratory.sweep_at_excursion(SHORT, 0.05))
+        calibrate(twin, small, twin.sweep_at_excursion(SHORT, 0.05))
 
 
 @pytest.mark.exhaustive

@@ -71,7 +71,8 @@ def test_a_stored_delay_ends_the_trial_and_wins_over_a_declared_one_for_its_pair
     case.update(BLUETOOTH)
     case.offset.try_out(0.3)
     case.offset.store(0.12)
-    assert (case.offset.vibration_s, case.offset.reason) == (pytest.approx(0.12), offset.MEASURED)
+    assert case.offset.vibration_s == pytest.approx(0.12)
+    assert case.offset.reason == offset.MEASURED
     assert case.update(BLUETOOTH, pair=OTHER) == pytest.approx(0.2 - OWN_S)
     assert case.offset.reason == offset.DECLARED
     again = Case(tmp_path)
@@ -90,7 +91,8 @@ def test_a_number_in_the_config_wins_over_everything_but_a_trial(tmp_path):
     case.offset.try_out(None)
     assert case.offset.vibration_s == 0.03
     case.offset.follow(config())
-    assert (case.offset.vibration_s, case.offset.reason) == (pytest.approx(0.12), offset.MEASURED)
+    assert case.offset.vibration_s == pytest.approx(0.12)
+    assert case.offset.reason == offset.MEASURED
 
 
 def test_a_trial_that_nobody_ends_ends_by_itself(case):

@@ -192,7 +192,8 @@ def test_gaps_in_the_vibration_do_not_change_the_lag_and_are_counted_where_somet
     assert lag is not None
     assert lag.seconds == pytest.approx(declared_s, abs=0.0003)
     count, silent_s = lags_of.dropouts(wanted, trace, line, declared_s, 3.0, 9.0)
-    assert (count, silent_s) == (3, pytest.approx(0.033, abs=0.001))
+    assert count == 3
+    assert silent_s == pytest.approx(0.033, abs=0.001)
     assert lags_of.dropouts(wanted, trace, line, declared_s, 7.0, 11.5) == (0, 0.0)
 
 

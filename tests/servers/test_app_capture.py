@@ -156,7 +156,8 @@ def test_the_server_converts_rate_and_channels(server, apps):
         capture = apps.open(player.index, 24_000, 1, collector)
         wait_for(lambda: len(collector.frames()) > 12_000, "frames")
         frames = collector.frames()[-6_000:]
-        assert (frames.shape[1], frames.dtype) == (1, np.float32)
+        assert frames.shape[1] == 1
+        assert frames.dtype == np.float32
         assert np.argmax(np.abs(np.fft.rfft(frames[:, 0]))) == pytest.approx(440 / 4, abs=1)
         assert capture.close()
 
