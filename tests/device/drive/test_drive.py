@@ -113,6 +113,16 @@ def test_of_several_changes_within_a_fade_the_last_one_stays():
     assert np.array_equal(heard[late:], wave[1_000:-late])
 
 
+def test_a_level_that_changes_again_before_it_is_reached_has_no_bend():
+    drive, heard = Drive([ActuatorSettings((0,))], RATE), []
+    for gain_db in (0.0, -40.0, 0.0, -6.0, -3.0):
+        drive.change([ActuatorSettings((0,), gain_db=gain_db)])
+        heard.append(drive.process(np.ones((123, 1), np.float32)))
+    bend = np.abs(np.diff(np.concatenate(heard)[:, 0].astype(float), 2)).max()
+    assert bend < 6.0 / (FADE_S * RATE) ** 2 * 1.1  # that of a whole fade, and float32's rounding
+
+
+
 def test_who_needs_no_protection_waits_for_those_who_do():
     wanted = [
         ActuatorSettings((0,), "left", protection="on"),

@@ -224,7 +224,7 @@ def test_a_missing_link_is_asked_for_until_it_comes_and_any_other_of_our_nodes_r
     graph.apply([link(70, 13, 41, graph)])
     for now_s in (1.2, 1.4):
         keeper.update(now_s)
-    assert (len(sent), keeper.are_there({(13, 41)})) == (2, True)
+    assert (len(sent), keeper.missing({(13, 41)})) == (2, set())
     graph, keeper, sent = kept()
     later(keeper, 1.0, link(70, 13, 41, graph), link(71, 14, 41, graph), link(72, 13, 21, graph))
     assert sent == ["destroy 71"]
