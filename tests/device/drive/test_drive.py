@@ -122,7 +122,6 @@ def test_a_level_that_changes_again_before_it_is_reached_has_no_bend():
     assert bend < 6.0 / (FADE_S * RATE) ** 2 * 1.1  # that of a whole fade, and float32's rounding
 
 
-
 def test_who_needs_no_protection_waits_for_those_who_do():
     wanted = [
         ActuatorSettings((0,), "left", protection="on"),
