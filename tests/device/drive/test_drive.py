@@ -34,13 +34,10 @@ def cut(signal, lengths):
         start, turn = stop, turn + 1
 
 
-def test_an_actuator_without_wishes_gets_its_source_bit_for_bit_and_at_once():
+def test_an_actuator_gets_its_source_bit_for_bit_and_the_level_polarity_and_delay_it_asks_for():
     vibration, drive = noise(9_000, 2), Drive([RIGHT, LEFT], RATE)
     assert (drive.sources, drive.latency_frames) == (("left", "right"), 0)
     assert np.array_equal(drive.process(vibration), vibration[:, ::-1])
-
-
-def test_level_polarity_and_delay_are_those_asked_for():
     one = ActuatorSettings((0,), "mix", gain_db=-6.0, polarity="inverted", delay_ms=12.5)
     vibration = noise(3_000, 1)
     out, late = Drive([one], RATE).process(vibration), round(12.5e-3 * RATE)
