@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 
 from audioflinger_hook.daemon.offset import LONGEST_S, Declared
@@ -11,13 +11,13 @@ from device.errors import NotFoundError
 from device.server import PulseConnection
 from device.server.graph_watch import GraphWatch
 
-LOOK_S = 0.25  # shortest time between two queries of PulseAudio
+LOOK_S = 0.1  # shortest time between two queries of PulseAudio
 
 # PulseAudio's latency of a sink rises when the sink fills its buffer, and falls until the next
-# time. A monitor gets the sound when the buffer is filled, so a latency near the highest counts:
-# the upper quartile of the latest LOOKS latencies, which ignores single high ones. After RECENT
-# latencies that are all smaller by FALL_S than the highest one, the earlier ones are forgotten.
-LOOKS, RECENT, FALL_S = 16, 6, 0.06
+# time. A monitor gets the sound when the buffer is filled, so a latency in the upper third counts;
+# behind a tunnel, the highest ones are wrong by tens of ms. If the latest RECENT latencies differ
+# from all LOOKS by JUMP_S, the sink's delay has changed, and the earlier ones are forgotten.
+LOOKS, RECENT, JUMP_S = 120, 20, 0.06
 
 # On PulseAudio, a heard sink that is later by less than this has an ordinary buffer.
 ORDINARY_S = 0.02
@@ -99,13 +99,10 @@ class DeclaredDelays:
         self, pair: SinkPair, latencies_s: dict[str, float], *, forwards: bool
     ) -> Declared:
         self._looks.append((latencies_s.get(pair.heard, 0.0), latencies_s.get(pair.felt, 0.0)))
-        heard, felt = zip(*self._looks, strict=True)
-        if max(heard[-RECENT:]) < max(heard) - FALL_S:
-            heard, felt = heard[-RECENT:], felt[-RECENT:]
-            self._looks = deque(zip(heard, felt, strict=True), LOOKS)
-        heard_s, felt_s = self._believed(
-            pair, *(sorted(each)[3 * len(each) // 4] for each in (heard, felt))
-        )
+        recent = list(self._looks)[-RECENT:]
+        if abs(_upper_third(recent)[0] - _upper_third(self._looks)[0]) > JUMP_S:
+            self._looks = deque(recent, LOOKS)
+        heard_s, felt_s = self._believed(pair, *_upper_third(self._looks))
         is_known = heard_s - felt_s >= ORDINARY_S
         return Declared(heard_s, felt_s, is_known, heard_s if forwards else 0.0)
 
@@ -122,3 +119,8 @@ class DeclaredDelays:
                     f"ignored; allowed: 0 to {1e3 * LONGEST_S:.0f} ms; `cushion sync` measures it"
                 )
         return believed
+
+
+def _upper_third(looks: Collection[tuple[float, float]]) -> list[float]:
+    """Return the latency of each sink that a third of its latencies exceed."""
+    return [sorted(each)[2 * len(each) // 3] for each in zip(*looks, strict=True)]

@@ -58,7 +58,7 @@ def test_a_sine_is_found_with_its_frequency_amplitude_and_residual(frequency_hz)
     assert measures.sine_fit(np.zeros(RATE), RATE).amplitude == 0.0
 
 
-def test_a_later_onset_is_measured_as_later_by_as_much():
+def test_a_later_onset_is_later_by_as_much_and_energy_above_a_corner_is_a_share():
     lags_s = []
     for delay_s in (0.0, 0.0371):
         start, vibration = round((0.3 + delay_s) * RATE), np.zeros(RATE)
@@ -68,9 +68,6 @@ def test_a_later_onset_is_measured_as_later_by_as_much():
     assert abs(lags_s[0]) < 0.005
     assert lags_s[1] - lags_s[0] == pytest.approx(0.0371, abs=0.001)
     assert math.isnan(measures.onset_lag_s(np.zeros(RATE), RATE, 0.3))
-
-
-def test_energy_above_a_corner_is_a_share_of_all_energy():
     vibration = tone(100.0, 1.0, 1.0) + tone(400.0, 0.01, 1.0)
     assert measures.energy_above_db(vibration, RATE) == pytest.approx(-40.0, abs=0.01)
     assert measures.energy_above_db(tone(100.0, 1.0, 1.0), RATE) < -200.0

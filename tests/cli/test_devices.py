@@ -12,14 +12,6 @@ from device.usb import UsbAudioDevice, find_devices
 from device.usb.descriptors import RateRange, parse_configuration
 from tests.support import usb_builder
 from tests.support.sound_cards import ADAPTIVE, ASYNC, Cards
-from tests.support.usb_builder import (
-    ASYNCHRONOUS,
-    ISOCHRONOUS,
-    UAC3,
-    class_specific,
-    endpoint,
-    streaming,
-)
 from tests.support.usb_shapes import SHAPES
 from tests.support.usb_tree import UsbTree
 
@@ -70,14 +62,14 @@ def cards(tmp_path: Path) -> Path:
 
 
 def test_the_driver_tells_what_class_3_leaves_open(device: UsbAudioDevice, cards: Path) -> None:
-    play = class_specific(1, bytes([5, *bytes(4), 2, 0, 1, *bytes(7), 4, 24, 0, 0, 4]))
-    data = endpoint(1, ISOCHRONOUS | ASYNCHRONOUS, 192)
+    play = usb_builder.class_specific(1, bytes([5, *bytes(4), 2, 0, 1, *bytes(7), 4, 24, 0, 0, 4]))
+    data = usb_builder.endpoint(1, usb_builder.ISOCHRONOUS | usb_builder.ASYNCHRONOUS, 192)
     configuration = parse_configuration(
         usb_builder.configuration(
-            usb_builder.association(0, 2, UAC3),
-            usb_builder.control(0, UAC3),
-            streaming(1, 0, UAC3),
-            streaming(1, 2, UAC3, play, data),
+            usb_builder.association(0, 2, usb_builder.UAC3),
+            usb_builder.control(0, usb_builder.UAC3),
+            usb_builder.streaming(1, 0, usb_builder.UAC3),
+            usb_builder.streaming(1, 2, usb_builder.UAC3, play, data),
         )
     )
     decoded, *listed = formats_of(configuration, device, root=cards)

@@ -31,7 +31,7 @@ def test_devices_lists_what_makes_an_output_weak(sink, weakened, capsys):
     assert line == ", ".join(filter(None, ("USB DAC, 48000 Hz, 2 channels", weakened)))
 
 
-def test_a_test_tone_says_why_it_may_not_be_felt() -> None:
+def test_a_test_tone_says_why_it_may_not_be_felt_and_setup_lists_a_muted_output_as_muted() -> None:
     assert not list(test_tone._warnings(DAC, snapshot(DAC)))
     (down,) = test_tone._warnings(DOWN, snapshot(DOWN))
     assert "dac has volume 30 %" in down
@@ -39,9 +39,6 @@ def test_a_test_tone_says_why_it_may_not_be_felt() -> None:
     assert "`pactl set-sink-mute dac 0`" in silent
     (heard,) = test_tone._warnings(DAC, snapshot(DAC, default="dac"))
     assert "the default output" in heard
-
-
-def test_setup_lists_a_muted_output_as_muted() -> None:
     (output,) = list_outputs(snapshot(MUTED), (), ())
     assert "now muted" in output.note
 

@@ -66,15 +66,12 @@ def test_a_config_with_mistakes_is_left_to_its_owner(path: Path) -> None:
     assert path.read_text() == "profile = 7\n"
 
 
-def test_what_cannot_be_done_is_refused_with_what_can() -> None:
+def test_what_cannot_be_done_is_refused_with_what_can_and_each_profile_asked_for_exists() -> None:
     error = refused(call("setup"))
     assert "not a terminal" in error
     assert "--yes --device DEVICE" in error
     assert "did you mean cinema?" in refused(call("setup", "--yes", "--profile", "cinena"))
     assert "nothing to undo" in refused(call("setup", "--undo"))
-
-
-def test_every_profile_that_is_asked_for_exists() -> None:
     assert set(PLAYED) - {SPEECH_FREE} <= set(PROFILES)
 
 

@@ -57,15 +57,12 @@ def test_a_dump_is_told_in_words(describe: Callable[..., Done]) -> None:
     assert "plays: nothing" not in done.stdout
 
 
-def test_the_document_keeps_its_keys(describe: Callable[..., Done]) -> None:
+def test_the_document_keeps_its_keys_also_without_a_device(describe: Callable[..., Done]) -> None:
     document = json.loads(describe(DEVICE + headset_adapter(), "--json").stdout)
     (configuration,) = document["configurations"]
     parts = {"": document, "device": document["device"], "configurations": configuration}
     parts |= {key: configuration[key][0] for key in ("formats", "playback")}
     assert {key: " ".join(sorted(part)) for key, part in parts.items()} == KEYS
-
-
-def test_a_dump_of_the_configuration_alone_is_enough(describe: Callable[..., Done]) -> None:
     document = json.loads(describe(headset_adapter(), "--json").stdout)
     assert document["device"] is document["settings"] is None
     assert document["configurations"][0]["bytes"] == headset_adapter().hex()
@@ -79,7 +76,7 @@ def test_unknown_bytes_are_kept(describe: Callable[..., Done]) -> None:
     assert (kept, document["bytes"]) == (configuration.hex(), (DEVICE + configuration).hex())
 
 
-def test_a_damaged_dump_says_what_is_lost_and_shows_the_rest(describe: Callable[..., Done]) -> None:
+def test_a_damaged_dump_says_what_is_lost_and_what_plays(describe: Callable[..., Done]) -> None:
     done = describe((DEVICE + headset_adapter())[:-40])
     assert (done.code, done.stderr) == (0, "")
     lines, size = done.stdout.splitlines(), len(headset_adapter())
@@ -88,9 +85,6 @@ def test_a_damaged_dump_says_what_is_lost_and_shows_the_rest(describe: Callable[
     assert any(line.startswith("plays: interface 1.1, PCM of 16 bits") for line in lines)
     assert "volume can be set on channels 1, 2" in lines
     assert describe(done.stdout).stdout == done.stdout  # what is printed can be read again
-
-
-def test_a_dump_that_plays_nothing_says_so(describe: Callable[..., Done]) -> None:
     silent = usb_builder.configuration(usb_builder.control(0, 0, usb_builder.header_1([])))
     assert "plays: nothing" in describe(DEVICE + silent).stdout
     lost = "0 of 1 configuration can be read; from 0x0012 on, 2 bytes cannot be read"

@@ -228,7 +228,7 @@ def test_a_jump_takes_back_what_would_have_been_read_ahead():
     assert status.delay_s == pytest.approx(status.target_s, abs=0.001)
 
 
-def test_a_volume_is_undone_over_one_buffer_and_exactly_from_then_on():
+def test_a_volume_is_undone_over_one_buffer_and_no_sample_goes_over_full_scale():
     gain, frames = SoundGain(), np.full((100, 2), 0.1, np.float32)
     assert gain.apply(frames) is frames
     gain.wanted = 10.0
@@ -239,9 +239,6 @@ def test_a_volume_is_undone_over_one_buffer_and_exactly_from_then_on():
     assert np.ptp(steps) < 1e-6
     assert (changing[0, 0], changing[-1, 0]) == (pytest.approx(0.109), pytest.approx(1.0, rel=1e-6))
     assert after == pytest.approx(1.0, rel=1e-6)
-
-
-def test_no_sample_goes_over_full_scale_where_a_volume_rose_before_its_factor_fell():
     gain = SoundGain()
     gain.wanted = 1000.0
     assert gain.apply(np.full((4, 1), 0.5, np.float32)).max() == 1.0

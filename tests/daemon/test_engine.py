@@ -170,7 +170,7 @@ def rests_after(rest: IdlePolicy, began_s: float, players: frozenset[int], sound
     raise AssertionError("it never rests")
 
 
-def test_it_rests_soon_if_nothing_plays_later_if_something_silent_does_and_not_in_sound():
+def test_it_rests_soon_or_later_and_not_in_sound_and_wakes_by_a_new_stream_or_by_sound():
     assert rests_after(IdlePolicy(0.0), 100.0, NOBODY, 100.0) - 100.0 < QUIET_S + 0.2
     assert rests_after(IdlePolicy(0.0), 0.0, NOBODY, -100.0) > AWAKE_S  # it has just begun
     rest = IdlePolicy(0.0)
@@ -178,9 +178,6 @@ def test_it_rests_soon_if_nothing_plays_later_if_something_silent_does_and_not_i
     assert SILENT_S < rests_after(rest, 100.0, frozenset({1}), 100.0) - 100.0 < SILENT_S + 0.2
     rest = IdlePolicy(0.0)
     assert not any(rest.update(now_s, NOBODY, now_s - 1.0, heard=False) for now_s in range(100))
-
-
-def test_a_stream_that_comes_wakes_it_and_so_does_sound_but_not_a_stream_that_goes():
     rest = IdlePolicy(0.0)
     rests_after(rest, 10.0, frozenset({1, 2}), 10.0)
     assert rest.update(50.0, frozenset({2}), 10.0, heard=False)
@@ -255,7 +252,7 @@ def test_a_watched_page_reads_what_the_engine_measured(tmp_path, actuators):
     assert (numbers, engine.live.page.frames) == (pytest.approx(expected), engine.frames)
 
 
-def test_nothing_is_written_while_nobody_watches(tmp_path):
+def test_nothing_is_written_while_nobody_watches_or_that_the_file_cannot_hold(tmp_path):
     engine = engine_with(tmp_path)
     watched(engine, 8)
     assert engine.live.page.frames == 0
@@ -265,6 +262,9 @@ def test_nothing_is_written_while_nobody_watches(tmp_path):
     assert 0 < written < engine.frames
     watched(engine, 8)
     assert engine.live.page.frames == written
+    assert engine_with(tmp_path, channels=9).live is None
+    assert engine_with(None).live is None
+    assert engine_with(tmp_path / "none").live is None
 
 
 def test_each_engine_has_a_file_of_its_own_and_old_ones_are_removed(tmp_path):
@@ -276,9 +276,3 @@ def test_each_engine_has_a_file_of_its_own_and_old_ones_are_removed(tmp_path):
     second.live.close()
     second.live.close()
     assert not list(tmp_path.iterdir())
-
-
-def test_what_the_file_cannot_hold_is_left_to_the_socket(tmp_path):
-    assert engine_with(tmp_path, channels=9).live is None
-    assert engine_with(None).live is None
-    assert engine_with(tmp_path / "none").live is None

@@ -21,13 +21,6 @@ from audioflinger_hook.daemon.engine import FADE_S, SoftFade
 from audioflinger_hook.daemon.native import abilities
 from audioflinger_hook.daemon.native import layout as layout_module
 from audioflinger_hook.daemon.native import plan as module
-from audioflinger_hook.daemon.native.abilities import (
-    check_engine,
-    missing_parts,
-    why_not_server,
-    why_not_tap,
-    why_python,
-)
 from audioflinger_hook.daemon.native.chains import Chains
 from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.native.plan import LONGEST_WAIT_S, ChainPlan, DriveDesigns
@@ -75,7 +68,7 @@ NO_SERVER = "there is no sound server"
     ],
 )
 def test_the_first_thing_that_the_native_engine_cannot_do_is_named(changes, reason):
-    assert why_python(config(settings=Settings(**changes)), None) == reason
+    assert abilities.why_python(config(settings=Settings(**changes)), None) == reason
 
 
 @pytest.mark.parametrize(
@@ -87,8 +80,13 @@ def test_the_first_thing_that_the_native_engine_cannot_do_is_named(changes, reas
     ],
 )
 def test_an_old_or_another_server_is_named_and_a_tap_of_over_eight_channels(kind, version, reason):
-    assert why_not_server(ServerSnapshot(kind, version, "", "", (), (), (), (), 0)) == reason
-    assert (why_not_tap(8), why_not_tap(9)) == ("", "the tap has 9 channels, more than 8")
+    assert (
+        abilities.why_not_server(ServerSnapshot(kind, version, "", "", (), (), (), (), 0)) == reason
+    )
+    assert (abilities.why_not_tap(8), abilities.why_not_tap(9)) == (
+        "",
+        "the tap has 9 channels, more than 8",
+    )
 
 
 def test_missing_parts_are_named_with_what_to_install(monkeypatch, tmp_path):
@@ -97,13 +95,13 @@ def test_missing_parts_are_named_with_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setattr(shutil, "which", lambda program: program)
     monkeypatch.setattr(abilities, "MODULE_FOLDERS", (str(folder),))
     folder.mkdir()
-    assert "libpipewire-module-filter-chain.so is missing" in missing_parts()
+    assert "libpipewire-module-filter-chain.so is missing" in abilities.missing_parts()
     (folder / abilities.FILTER_CHAIN).touch()
-    assert missing_parts() == ""
+    assert abilities.missing_parts() == ""
     monkeypatch.setattr(shutil, "which", lambda program: None)
-    assert "the program pipewire is missing; install" in missing_parts()
+    assert "the program pipewire is missing; install" in abilities.missing_parts()
     monkeypatch.setattr(abilities, "plugin_path", lambda: None)
-    assert "the plugin is not built; run `make run`" in missing_parts()
+    assert "the plugin is not built; run `make run`" in abilities.missing_parts()
 
 
 @given(st.integers(1, 8))
@@ -183,8 +181,7 @@ def test_a_gain_rises_in_a_design_with_another_protection_only_once_that_one_pla
         rig: Any = {"rig": "consumer", "protection": protection} if protection == "on" else {}
         chains.follow(config(settings=Settings(gain_db=gain_db, **rig)))
         gains = [bank.controls.actuators[0].gain for bank in page.layout.banks]
-        wanted = [db_to_amplitude(playing_db), db_to_amplitude(next_db)]
-        assert gains == pytest.approx(wanted)
+        assert gains == pytest.approx([db_to_amplitude(playing_db), db_to_amplitude(next_db)])
     page.close()
 
 
@@ -262,7 +259,7 @@ def test_a_python_engine_without_alsas_plugin_is_refused(tap, device, is_refused
     monkeypatch.setattr(abilities, "missing_plugin", lambda: "the plugin is missing")
     refused = pytest.raises(NotFoundError, match=r"engine = 'python'.*the plugin is missing")
     with refused if is_refused else nullcontext():
-        check_engine(config(device=device, tap=(tap,), engine="python"), None)
+        abilities.check_engine(config(device=device, tap=(tap,), engine="python"), None)
 
 
 CARE = {"protection": "on", "damping": "auto", "exposure_cap": "action"}

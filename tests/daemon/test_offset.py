@@ -2,17 +2,7 @@
 
 import pytest
 
-from audioflinger_hook.daemon.offset import (
-    DECLARED,
-    FOLLOWED_S,
-    LONGEST_S,
-    MEASURED,
-    SET,
-    SPARE_MAX_S,
-    TRIAL_S,
-    Declared,
-    Offset,
-)
+from audioflinger_hook.daemon import offset
 from audioflinger_hook.daemon.offset_store import OffsetStore, SinkPair
 from device.errors import UsageError
 from device.server.forwarding import MAX_DELAY_S, MIN_DELAY_S
@@ -20,15 +10,15 @@ from tests.support.run_configs import config
 
 PAIR, OTHER = SinkPair("speakers", "cushion"), SinkPair("headphones", "cushion")
 OWN_S = 0.009
-NOTHING = Declared()
-BLUETOOTH = Declared(0.2, 0.0, is_known=True)
+NOTHING = offset.Declared()
+BLUETOOTH = offset.Declared(0.2, 0.0, is_known=True)
 
 
 class Case:
     """An offset with a store, told of one pair of sinks; time passes by `update`."""
 
     def __init__(self, folder, **live):
-        self.offset, self.now_s = Offset(config(**live), OffsetStore(folder)), 0.0
+        self.offset, self.now_s = offset.Offset(config(**live), OffsetStore(folder)), 0.0
 
     def update(self, declared=NOTHING, *, pair=PAIR, own_s=OWN_S, after_s=0.25):
         self.now_s += after_s
@@ -46,17 +36,23 @@ def case(tmp_path):
     return Case(tmp_path)
 
 
-def test_it_is_never_below_0_without_drop_in_mode(case):
-    assert case.update(Declared(0.0, 0.3, is_known=True)) == 0.0
+def test_it_is_never_below_0_without_drop_in_mode_nor_more_than_the_engines_can_delay(case):
+    assert case.update(offset.Declared(0.0, 0.3, is_known=True)) == 0.0
     assert (case.update(BLUETOOTH, own_s=0.25), case.offset.sound_s) == (0.0, 0.0)
+    assert (
+        case.update(offset.Declared(offset.LONGEST_S, 0.0, is_known=True), own_s=-0.1)
+        == offset.LONGEST_S
+    )
 
 
 def test_only_changes_of_more_than_5_ms_are_followed(case):
     first_s = case.update(BLUETOOTH)
-    assert case.update(Declared(0.2 + 0.99 * FOLLOWED_S, 0.0, is_known=True)) == first_s
-    assert case.update(BLUETOOTH, own_s=OWN_S - 0.99 * FOLLOWED_S) == first_s
+    assert (
+        case.update(offset.Declared(0.2 + 0.99 * offset.FOLLOWED_S, 0.0, is_known=True)) == first_s
+    )
+    assert case.update(BLUETOOTH, own_s=OWN_S - 0.99 * offset.FOLLOWED_S) == first_s
     assert case.update(BLUETOOTH, own_s=None) == first_s  # no engine plays
-    assert case.update(Declared(0.08, 0.0, is_known=True)) == pytest.approx(0.08 - OWN_S)
+    assert case.update(offset.Declared(0.08, 0.0, is_known=True)) == pytest.approx(0.08 - OWN_S)
     assert case.update(BLUETOOTH, pair=OTHER) == pytest.approx(0.2 - OWN_S)
 
 
@@ -64,12 +60,10 @@ def test_slow_changes_are_followed_before_they_add_up(case):
     errors_s = []
     for step in range(100):
         heard_s = 0.1 + 0.001 * step
-        errors_s.append(abs(case.update(Declared(heard_s, 0.0, is_known=True)) - (heard_s - OWN_S)))
-    assert max(errors_s) <= FOLLOWED_S + 1e-9
-
-
-def test_it_is_at_most_what_the_engines_can_delay(case):
-    assert case.update(Declared(LONGEST_S, 0.0, is_known=True), own_s=-0.1) == LONGEST_S
+        errors_s.append(
+            abs(case.update(offset.Declared(heard_s, 0.0, is_known=True)) - (heard_s - OWN_S))
+        )
+    assert max(errors_s) <= offset.FOLLOWED_S + 1e-9
 
 
 def test_a_stored_delay_ends_the_trial_and_wins_over_a_declared_one_for_its_pair_only(tmp_path):
@@ -78,11 +72,11 @@ def test_a_stored_delay_ends_the_trial_and_wins_over_a_declared_one_for_its_pair
     case.offset.try_out(0.3)
     case.offset.store(0.12)
     assert case.offset.vibration_s == pytest.approx(0.12)
-    assert case.offset.reason == MEASURED
+    assert case.offset.reason == offset.MEASURED
     assert case.update(BLUETOOTH, pair=OTHER) == pytest.approx(0.2 - OWN_S)
-    assert case.offset.reason == DECLARED
+    assert case.offset.reason == offset.DECLARED
     again = Case(tmp_path)
-    assert (again.update(BLUETOOTH), again.offset.reason) == (pytest.approx(0.12), MEASURED)
+    assert (again.update(BLUETOOTH), again.offset.reason) == (pytest.approx(0.12), offset.MEASURED)
     slower_s = OWN_S + 0.06  # as with the Python engine
     assert again.update(own_s=slower_s) == pytest.approx(0.06)
 
@@ -91,19 +85,19 @@ def test_a_number_in_the_config_wins_over_everything_but_a_trial(tmp_path):
     case = Case(tmp_path, offset_ms=30)
     assert case.update(BLUETOOTH) == 0.03
     case.offset.store(0.12)
-    assert (case.update(BLUETOOTH), case.offset.reason) == (0.03, SET)
+    assert (case.update(BLUETOOTH), case.offset.reason) == (0.03, offset.SET)
     case.offset.try_out(0.25)
     assert case.offset.vibration_s == 0.25
     case.offset.try_out(None)
     assert case.offset.vibration_s == 0.03
     case.offset.follow(config())
     assert case.offset.vibration_s == pytest.approx(0.12)
-    assert case.offset.reason == MEASURED
+    assert case.offset.reason == offset.MEASURED
 
 
 def test_a_trial_that_nobody_ends_ends_by_itself(case):
     case.offset.try_out(0.3)
-    assert (case.update(after_s=5.0), case.update(after_s=TRIAL_S - 1.0)) == (0.3, 0.3)
+    assert (case.update(after_s=5.0), case.update(after_s=offset.TRIAL_S - 1.0)) == (0.3, 0.3)
     assert case.update(after_s=2.0) == 0.0
 
 
@@ -119,9 +113,9 @@ def test_drop_in_mode_delays_the_sound_instead_and_rarely_changes_its_delay(tmp_
     for own_s in (0.07, 0.076, 0.064, 0.079, 0.05, 0.07):
         case.update(own_s=own_s)
         sounds_s.add(case.offset.sound_s)
-        assert case.early_s == pytest.approx(own_s, abs=FOLLOWED_S)
+        assert case.early_s == pytest.approx(own_s, abs=offset.FOLLOWED_S)
     (sound_s,) = sounds_s
-    assert 0.07 <= sound_s <= 0.07 + SPARE_MAX_S
+    assert 0.07 <= sound_s <= 0.07 + offset.SPARE_MAX_S
     case.update(own_s=0.2)
     assert case.early_s == pytest.approx(0.2)
 
@@ -136,7 +130,7 @@ def test_drop_in_mode_delays_the_vibration_where_the_sound_is_later(tmp_path):
 
 def test_drop_in_modes_delay_contains_the_one_of_the_sink_on_pulseaudio(tmp_path):
     case = Case(tmp_path, drop_in=True)
-    case.update(Declared(0.03, 0.03, forwarded_s=0.03), own_s=0.07)
+    case.update(offset.Declared(0.03, 0.03, forwarded_s=0.03), own_s=0.07)
     # heard `sound_s` after its capture, felt after own latency, offset and the device's delay
     assert case.offset.sound_s == pytest.approx(0.07 + case.offset.vibration_s + 0.03)
 

@@ -55,8 +55,7 @@ def test_a_damaged_file_is_set_aside_with_a_warning_and_a_new_one_works(tmp_path
     assert "cushion sync" in store.warning
     assert (tmp_path / DAMAGED).read_text() == content
     store.store(HEADPHONES, 0.1)
-    assert store.warning == ""
-    assert OffsetStore(tmp_path).delay_s(HEADPHONES) == 0.1
+    assert (store.warning, OffsetStore(tmp_path).delay_s(HEADPHONES)) == ("", 0.1)
 
 
 @given(st.binary(max_size=200))
@@ -66,10 +65,16 @@ def test_no_content_of_the_file_stops_the_daemon(tmp_path_factory, content):
     OffsetStore(folder)
 
 
-def test_a_file_that_cannot_be_read_is_told_and_left_alone(tmp_path):
+def test_a_file_that_cannot_be_read_is_left_alone_and_without_a_folder_a_delay_lasts(
+    tmp_path,
+):
     (tmp_path / FILE).mkdir()
     assert "cannot be read" in OffsetStore(tmp_path).warning
     assert (tmp_path / FILE).is_dir()
+    store = OffsetStore()
+    with pytest.raises(UsageError, match="XDG_STATE_HOME"):
+        store.store(HEADPHONES, 0.1)
+    assert store.delay_s(HEADPHONES) == 0.1
 
 
 def test_a_full_disk_keeps_the_old_file_and_the_new_delay_until_the_end(small_disk):
@@ -80,10 +85,3 @@ def test_a_full_disk_keeps_the_old_file_and_the_new_delay_until_the_end(small_di
     with pytest.raises(CushionError, match="disk is full"):
         store.store(SPEAKERS, 0.2)
     assert (store.delay_s(SPEAKERS), OffsetStore(small_disk).delay_s(HEADPHONES)) == (0.2, 0.1)
-
-
-def test_without_a_folder_a_delay_lasts_until_the_end(tmp_path):
-    store = OffsetStore()
-    with pytest.raises(UsageError, match="XDG_STATE_HOME"):
-        store.store(HEADPHONES, 0.1)
-    assert store.delay_s(HEADPHONES) == 0.1

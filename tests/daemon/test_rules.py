@@ -148,8 +148,7 @@ def test_the_rule_of_an_applications_own_name_acts_before_patterns_unless_it_cha
     none = replace(own, profile=None, feel=True)
     for rules, rule in (((GAME, own), own), ((GAME, program), program), ((GAME, none), GAME)):
         acting = ActingRule()
-        game = stream(4, "SuperTux", binary="supertux2")
-        acting.update(seen(game), config_of(*rules), "dac")
+        acting.update(seen(stream(4, "SuperTux", binary="supertux2")), config_of(*rules), "dac")
         assert acting.rule == rule
 
 
@@ -157,8 +156,7 @@ def test_the_rule_of_an_applications_own_name_acts_before_patterns_unless_it_cha
     ("name", "match"), [("Film [4K", "Film [[]4K"), ("Film [4K]", "Film [4K]")]
 )
 def test_the_rule_of_a_name_with_a_bracket_acts_before_patterns(name, match):
-    own = ApplicationRule(match=match, profile="music")
-    acting = ActingRule()
+    own, acting = ApplicationRule(match=match, profile="music"), ActingRule()
     acting.update(seen(stream(4, name)), config_of(replace(own, match="*"), own), "dac")
     assert acting.rule == own
 
@@ -182,8 +180,7 @@ def test_an_application_that_is_not_heard_on_the_tapped_sink_has_no_rule():
 
 
 def test_what_plays_through_a_sink_of_effects_is_felt_and_a_call_there_is_told():
-    call = stream(3, "Zoom", sink="effects")
-    snapshot = seen(call, stream(4, "mpv", sink="effects"), TO_DESK)
+    snapshot = seen(stream(3, "Zoom", sink="effects"), stream(4, "mpv", sink="effects"), TO_DESK)
     snapshot = replace(snapshot, sinks=(DESK_SINK, EFFECT_SINK))
     shown = applications_in(snapshot, config_of(), SOURCE, "dac")
     assert {one.name: (one.is_felt, one.rule) for one in shown} == {
@@ -216,7 +213,7 @@ def test_a_rule_that_contradicts_the_config_does_not_act_and_does_not_refuse_the
     daemon.close(0.0)
 
 
-def test_the_rule_of_the_newest_playing_application_acts_and_ends_with_it():
+def test_the_rule_of_the_newest_application_that_is_felt_acts_and_ends_with_it():
     config, acting = config_of(MUSIC, GAME), ActingRule()
     music, game = stream(9, "mpv"), stream(4, "SuperTux")  # a game with an older stream
     paused = replace(game, corked=True)
@@ -227,9 +224,6 @@ def test_the_rule_of_the_newest_playing_application_acts_and_ends_with_it():
         assert not acting.update(snapshot, config, "dac")
     acting.update(seen(), config, "dac")
     assert acting.rule is None
-
-
-def test_streams_to_the_device_and_left_out_streams_have_no_rule():
     config, acting = config_of(MUSIC, GAME), ActingRule()
     call = stream(3, "supercall", role="phone")
     assert not acting.update(seen(stream(1, "mpv", sink="dac"), call), config, "dac")

@@ -46,15 +46,12 @@ def test_a_users_mistake_comes_back_and_other_errors_are_one_line(capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_call_that_hangs_is_ended():
+def test_a_call_that_hangs_is_ended_and_one_that_is_closed_leaves_nothing():
     call = Call("damping", 5.0, time.sleep, 60.0)
     assert not call.is_over(5.0 + LIMIT_S)
     assert call.is_over(5.1 + LIMIT_S)
     with pytest.raises(LostError, match=r"damping cannot be computed: the process took over 30 s"):
         call.result()
-
-
-def test_a_call_that_is_closed_leaves_nothing():
     before, call = open_files(), Call("it", time.monotonic(), time.sleep, 60.0)
     for _ in range(2):
         call.close()

@@ -93,8 +93,10 @@ def with_status(**values: Any) -> Facts:
     return changed(status=replace(STATUS, **values))
 
 
-def test_a_healthy_set_up_has_no_finding() -> None:
+def test_a_healthy_set_up_has_no_finding_and_every_finding_has_a_case() -> None:
     assert (names(HEALTHY), findings_text([], [])) == ([], "Nothing is wrong.")
+    assert {name.split()[0] for name in TEXTS} - ELSEWHERE == set(CASES)
+    assert set(REPAIRS) <= set(TEXTS)
 
 
 MISTAKE = Mistake("gain_db", 3, "99", "is out of range", "-60 to 24")
@@ -143,14 +145,11 @@ def test_each_fault_gives_its_finding_alone_in_sentences_that_say_what_to_do(nam
     assert facts_text(CASES[name])
 
 
-def test_the_offset_and_its_origin_are_shown() -> None:
+def test_the_offset_is_shown_and_pulseaudio_leads_to_the_drop_in_mode_that_finds_it() -> None:
     shown = facts_text(with_status(offset_ms=194.5, offset_reason="declared by the sink"))
     assert "194.5 ms, declared by the sink" in shown
-
-
-def test_every_finding_has_a_case_and_every_repair_a_finding() -> None:
-    assert {name.split()[0] for name in TEXTS} - ELSEWHERE == set(CASES)
-    assert set(REPAIRS) <= set(TEXTS)
+    (found,) = find(CASES["pulseaudio"])
+    assert found.command == "cushion run --drop-in"
 
 
 def test_a_daemon_an_engine_or_a_config_that_says_what_is_wrong_is_a_finding() -> None:
@@ -191,18 +190,10 @@ def test_a_warning_of_a_cause_that_is_a_finding_is_not_repeated() -> None:
     assert names(with_status(warnings=warnings)) == ["daemon-warns"] * 3
 
 
-def test_pulseaudio_leads_to_the_drop_in_mode_that_finds_its_delay() -> None:
-    (found,) = find(CASES["pulseaudio"])
-    assert found.command == "cushion run --drop-in"
-
-
-def test_a_device_is_needed_while_no_daemon_plays() -> None:
+def test_a_device_is_needed_while_no_daemon_plays_and_beside_the_server_no_engine_of_it() -> None:
     assert names(replace(IDLE, live=LiveSettings())) == ["no-device-chosen", "no-daemon"]
     gone = replace(IDLE, device_error="there is no sink 'dac'")
     assert (names(gone), names(changed(live=LiveSettings()))) == (["no-device", "no-daemon"], [])
-
-
-def test_a_device_beside_the_server_needs_no_engine_of_the_server() -> None:
     assert names(changed(is_on_server=False, native_problem="pw-cli is missing")) == []
 
 
@@ -228,13 +219,10 @@ def test_a_rate_clashes_if_the_graph_cannot_follow(
     assert names(with_sinks(heard, felt, **clock)) == ["rate-clash"] * clashes
 
 
-def test_the_rate_of_a_card_that_sleeps_is_not_judged() -> None:
+def test_neither_a_sleeping_card_s_rate_nor_a_python_engine_that_was_chosen_is_judged() -> None:
     facts = with_sinks(replace(DESKTOP, samplerate=44_100), HAPTIC)
     card = node(10, "desktop", "Audio/Sink")
     assert names(replace(facts, graph=graph(MANAGER, card))) == ["rate-clash"]
     card["info"]["state"] = "suspended"
     assert names(replace(facts, graph=graph(MANAGER, card))) == []
-
-
-def test_the_python_engine_is_no_finding_where_it_was_chosen() -> None:
     assert names(with_status(engine="python", engine_reason="engine = 'python'")) == []

@@ -32,13 +32,10 @@ def test_a_delay_is_found_to_2_ms_although_blocks_arrive_late(delay_s: float) ->
     assert found.delay_ms == pytest.approx(1e3 * delay_s, abs=2.0)
 
 
-def test_silence_is_said_and_not_measured() -> None:
+def test_silence_is_said_and_not_measured_and_nothing_is_played_without_a_daemon() -> None:
     silent, loud = recorded(0.0, 0.0, 0.0, 0.0), recorded(0.0, 0.0, 0.3, 0.0)
     assert "sound stayed silent" in delay_between(silent, loud).reason
     assert "vibration stayed silent" in delay_between(loud, silent).reason
     assert delay_between(Recording(), Recording()).delay_ms is None
-
-
-def test_nothing_is_played_without_a_daemon() -> None:
     reason = "not measured: no daemon plays; start `cushion run`"
     assert measurement.measure(Facts()) == Delay(reason=reason)

@@ -57,7 +57,7 @@ def test_chains_run_players_first_then_output_mix_output_stage_and_device():
     assert chains.sessions() == (12, 5, 3, 0, -1, -2)
 
 
-def test_only_the_last_effect_accumulates_and_only_into_another_buffer():
+def test_only_the_last_effect_accumulates_and_only_into_another_buffer_of_its_layout():
     first, second = Probe("a", 1, FIRST), Probe("b", 2, LAST)
     chains, one, two = running(first, second, session=3)
     chains.process(3, noise(), 0.0, noise(seed=1))
@@ -67,6 +67,11 @@ def test_only_the_last_effect_accumulates_and_only_into_another_buffer():
     assert one.access.name == "ACCUMULATE"
     chains.process(3, noise(), 0.0)
     assert one.access.name == "WRITE"
+    chains, module = running(Probe(), session=3)
+    mix = noise(channels=1)
+    chains.process(3, noise(), 0.0, mix)
+    chains.process(9, noise(), 0.0, mix)
+    assert (mix.samples.tobytes(), module.misfits) == (noise(channels=1).samples.tobytes(), 1)
 
 
 @pytest.mark.parametrize("state", ["idle", "bypassed", "no chain"])
@@ -88,14 +93,6 @@ def test_sound_is_added_as_it_is_where_no_effect_runs(state):
     chains.process(3, own, 0.0, mix)
     np.testing.assert_array_equal(mix.samples, expected)
     np.testing.assert_array_equal(own.samples, noise(seed=1).samples)
-
-
-def test_a_target_of_another_layout_is_left_alone():
-    chains, module = running(Probe(), session=3)
-    mix = noise(channels=1)
-    chains.process(3, noise(), 0.0, mix)
-    chains.process(9, noise(), 0.0, mix)
-    assert (mix.samples.tobytes(), module.misfits) == (noise(channels=1).samples.tobytes(), 1)
 
 
 def test_effects_added_before_and_after_the_stream_is_known_are_both_configured():

@@ -80,7 +80,7 @@ def test_commands_come_in_the_order_of_the_lifecycle(steps):
         assert f"{module.state.name}:{','.join(probe.take())}" == expected, step
 
 
-def test_the_end_of_the_tail_resets_the_engine():
+def test_the_end_of_the_tail_resets_the_engine_and_an_endless_one_is_cut_off():
     probe, _, module = running_probe()
     module.disable()
     cycle(module)
@@ -90,9 +90,6 @@ def test_the_end_of_the_tail_resets_the_engine():
     assert (module.state.name, probe.take()) == ("IDLE", ["process", "RESET"])
     cycle(module)
     assert probe.take() == []
-
-
-def test_a_tail_that_does_not_end_is_cut_off_after_ten_seconds_of_sound():
     probe, _, module = running_probe()
     module.disable()
     module.update_state()
@@ -104,7 +101,7 @@ def test_a_tail_that_does_not_end_is_cut_off_after_ten_seconds_of_sound():
     assert probe.take()[-1] == "RESET"
 
 
-def test_nothing_is_processed_before_a_configuration_and_starting_waits_for_one():
+def test_nothing_is_processed_before_a_configuration_which_is_sent_only_where_it_is_new():
     probe = Probe()
     module = module_of(probe)
     module.enable()
@@ -115,6 +112,11 @@ def test_nothing_is_processed_before_a_configuration_and_starting_waits_for_one(
     cycle(module)
     cycle(module)
     assert probe.take() == ["SET_CONFIG", "ENABLE", "process"]
+    probe, _, module = running_probe()
+    for new in (config(), config(44_100), config(44_100, channels=1)):
+        assert module.set_config(new) == OK
+    assert (probe.take(), module.state.name) == (["SET_CONFIG", "SET_CONFIG"], "ACTIVE")
+    assert module.set_config("48000") == EINVAL
 
 
 def test_a_removed_effect_refuses_everything():
@@ -127,24 +129,13 @@ def test_a_removed_effect_refuses_everything():
     assert probe.take() == ["DISABLE"]
 
 
-def test_a_configuration_is_sent_only_where_it_is_new():
-    probe, _, module = running_probe()
-    for new in (config(), config(44_100), config(44_100, channels=1)):
-        assert module.set_config(new) == OK
-    assert (probe.take(), module.state.name) == (["SET_CONFIG", "SET_CONFIG"], "ACTIVE")
-    assert module.set_config("48000") == EINVAL
-
-
-def test_an_engine_that_refuses_to_start_is_named_and_stays_idle():
+def test_an_engine_that_refuses_to_start_or_init_is_named_and_stays_idle():
     module = module_of(Probe(), ENABLE=(EINVAL, None))
     module.set_config(config())
     module.enable()
     cycle(module)
     assert (module.state.name, module.refusals) == ("IDLE", 1)
     assert module.complaint == "refused ENABLE (status -22)"
-
-
-def test_an_engine_that_refuses_init_is_passed_by_until_it_takes_it():
     probe = Probe()
     module = module_of(probe, INIT=(EINVAL, None))
     assert (module.set_config(config()), module.bypassed) == (EINVAL, "refused INIT (status -22)")

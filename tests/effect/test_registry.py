@@ -112,7 +112,7 @@ def test_entry_points_of_other_groups_are_not_loaded(site):
     assert EffectRegistry.installed().problems == []
 
 
-def test_uuids_are_unique_within_and_between_libraries():
+def test_uuids_are_unique_within_and_between_libraries_and_an_unknown_one_is_told():
     registry = EffectRegistry([CUSHION, LIBRARY])
     uuids = [one.uuid for one in registry.descriptors]
     assert len(set(uuids)) == len(uuids) == 2
@@ -122,9 +122,6 @@ def test_uuids_are_unique_within_and_between_libraries():
     with pytest.raises(UsageError, match="effect 'b' is that of effect 'a'"):
         registry.add(twice)
     assert registry.libraries == ("cushion", "echoes")
-
-
-def test_an_unknown_uuid_is_named_with_those_that_there_are():
     known = r"no effect has UUID .*; known effects: .*Haptic Cushion"
     with pytest.raises(NotFoundError, match=known):
         EffectRegistry([CUSHION]).create(UUID(int=5))

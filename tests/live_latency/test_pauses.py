@@ -31,8 +31,7 @@ def test_what_one_core_did_not_notice_is_no_pause_of_the_machine() -> None:
 def test_times_are_left_out_until_a_pause_is_over(starts_s: list[float], recovers_s: float) -> None:
     pauses = [Pause(start_s, start_s + 0.02) for start_s in starts_s]
     times_s = np.linspace(-1.0, 110.0, 1_111)
-    clear = undisturbed(times_s, pauses, recovers_s)
-    for time_s, is_clear in zip(times_s, clear, strict=True):
+    for time_s, is_clear in zip(times_s, undisturbed(times_s, pauses, recovers_s), strict=True):
         assert is_clear != any(one.start_s <= time_s <= one.end_s + recovers_s for one in pauses)
 
 

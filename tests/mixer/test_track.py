@@ -250,15 +250,7 @@ def test_pause_or_stop_and_flush_in_one_go_ramp_down_first(end):
     assert (player.cycle() == 1.0).all()
 
 
-def test_a_stop_from_a_pause_drops_what_is_left():
-    player = steady()
-    player.track.pause()
-    player.track.stop()
-    player.cycle(2)
-    assert (player.track.state.name, player.track.frames_ready) == ("STOPPED", 0)
-
-
-def test_a_removed_track_ramps_down_and_is_gone():
+def test_a_removed_track_ramps_down_and_a_stop_from_a_pause_drops_what_is_left():
     player = steady()
     player.mixer.remove_track(player.track)
     heard = player.cycle(2)[:, 0]
@@ -267,9 +259,14 @@ def test_a_removed_track_ramps_down_and_is_gone():
     assert player.mixer.tracks == ()
     player.mixer.remove_track(player.track)
     player.cycle()
+    player = steady()
+    player.track.pause()
+    player.track.stop()
+    player.cycle(2)
+    assert (player.track.state.name, player.track.frames_ready) == ("STOPPED", 0)
 
 
-def test_a_new_volume_is_reached_over_exactly_one_buffer():
+def test_a_new_volume_is_reached_over_exactly_one_buffer_and_wrong_ones_are_refused():
     player = steady(ring_frames=6 * FRAMES)
     player.track.set_volume((0.5, 7.0))
     changing, steady_again = player.cycle(), player.cycle()
@@ -277,9 +274,6 @@ def test_a_new_volume_is_reached_over_exactly_one_buffer():
     assert (np.diff(changing[:, 0]) < 0).all()
     assert (changing[:, 1] == 1.0).all()
     assert (steady_again == [0.5, 1.0]).all()
-
-
-def test_wrong_volumes_are_refused():
     track = Player().track
     with pytest.raises(UsageError, match=r"0 gains .* 'one'"):
         track.set_volume(())

@@ -131,12 +131,10 @@ def run(shared: Path, command: Sequence[str], limit_s: float) -> None:
     """
     cgroups = _cgroups()
     assert cgroups is not None
-    cgroup = cgroups / f"cushion-test-{os.getpid()}"
-    layer = shared / "layer"
+    cgroup, layer = cgroups / f"cushion-test-{os.getpid()}", shared / "layer"
     layer.mkdir()
     words = " ".join(f'"{word}"' for word in command)
-    text = _SERVICE.format(root=ROOT, command=words, shared=shared)
-    (shared / "booted.service").write_text(text)
+    (shared / "booted.service").write_text(_SERVICE.format(root=ROOT, command=words, shared=shared))
     found = {ROOT, Path(sys.prefix).resolve(), Path(sys.base_prefix).resolve()}
     needed = [each for each in sorted(found) if not found.intersection(each.parents)]
     try:

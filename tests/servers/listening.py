@@ -75,8 +75,7 @@ def insist_on_default(server: SoundServer, connection: PulseConnection, sink: st
 
     def stays() -> bool:
         server.choose_default(sink)
-        asked_s = time.monotonic()
-        seen_s = None
+        asked_s, seen_s = time.monotonic(), None
         while time.monotonic() - asked_s < 2.0:
             if connection.snapshot().default_sink != sink:
                 seen_s = None
@@ -142,8 +141,7 @@ def steady(out: Float32Array, now_s: float) -> None:
 
 def noise(seconds: float, seed: int = 1) -> Float32Array:
     """Stereo float32 noise without a zero: every sample tells where it belongs."""
-    generator = np.random.default_rng(seed)
-    samples = generator.uniform(0.05, 0.5, (int(seconds * RATE_HZ), 2))
+    samples = np.random.default_rng(seed).uniform(0.05, 0.5, (int(seconds * RATE_HZ), 2))
     return samples.astype(np.float32)
 
 

@@ -37,8 +37,7 @@ class Visit:
 
     def facts(self, label: str) -> str:
         """The facts of one label, a line each."""
-        known = self.document["facts"]
-        return "\n".join(one["text"] for one in known if one["label"] == label)
+        return "\n".join(one["text"] for one in self.document["facts"] if one["label"] == label)
 
 
 def visit(
@@ -98,8 +97,7 @@ def test_a_server_that_hangs_is_told_from_none(server) -> None:
     configure(server)
     server.pause()
     try:
-        began_s = time.monotonic()
-        found = visit(server)
+        began_s, found = time.monotonic(), visit(server)
     finally:
         server.resume()
     assert found.names == ["server-hangs", "no-daemon"]
@@ -142,8 +140,7 @@ def test_a_muted_device_is_named_and_unmuted_at_its_volume_while_nothing_plays(c
     assert "device-muted" in fixed.names
     assert "because a stream plays" in fixed.document["repaired"][0]
     fixed = visit(configured, "--fix")
-    assert fixed.names == ["no-daemon"]
-    assert configured.pactl("get-sink-mute", "haptic") == "Mute: no"
+    assert (fixed.names, configured.pactl("get-sink-mute", "haptic")) == (["no-daemon"], "Mute: no")
     assert "60%" in configured.pactl("get-sink-volume", "haptic")
 
 

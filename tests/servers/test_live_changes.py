@@ -64,8 +64,7 @@ def test_changes_of_settings_keep_the_process_and_are_not_felt_as_gaps_or_clicks
         process = daemon.wait(lambda status: status.engine_pid, "the engine").engine_pid
         more(felt, 3.0)
         steady = loudest_above(felt()[-2 * RATE_HZ :])
-        verdict = Verdict("changes of settings", needed=1)
-        shown = False
+        verdict, shown = Verdict("changes of settings", needed=1), False
         while not shown:
             begins = [len(one()) for one in heard]
             for lines in itertools.islice(itertools.cycle(CHANGES), count):

@@ -55,8 +55,7 @@ def back_within(felt: Callable[[], Float32Array], since_s: float, what: str) -> 
 
 def test_auto_takes_the_native_engine_on_pipewire_and_says_so(pipewire):
     with running(pipewire, engine=None) as daemon:
-        status = daemon.wait_ready()
-        shown = cushion(pipewire, "status")
+        status, shown = daemon.wait_ready(), cushion(pipewire, "status")
     assert (status.engine, status.engine_reason) == ("native", "")
     assert daemon.stderr.count("the native engine plays") == 1
     assert status.latency.total_ms < 12.0
@@ -204,8 +203,7 @@ def test_a_change_of_engine_costs_under_2_s_and_does_not_click(pipewire, engine,
 def test_it_idles_without_processor_time_and_wakes_at_once(pipewire, tmp_path):
     with running(pipewire, engine="native") as daemon:
         daemon.wait_state(DaemonState.IDLE)
-        child = engine_process(daemon)
-        used = cpu_percent(daemon.process.pid, child, seconds=10.0)
+        used = cpu_percent(daemon.process.pid, engine_process(daemon), seconds=10.0)
         assert used[0] <= 0.5  # it answers to changes of the server once a second
         assert used[1] <= 0.1
         with (

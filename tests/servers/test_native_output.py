@@ -144,8 +144,7 @@ def test_the_node_gives_the_bytes_of_ctypes(pipewire, tmp_path, config, quantum,
     verdict, shown = Verdict(f"{quantum} frames at {rate_hz} Hz", needed=1, stray=2), False
     with witness_tone(tmp_path, quantum) as witness:
         while not shown:
-            begun = len(witness())
-            good = attempt()
+            begun, good = len(witness()), attempt()
             shown = verdict.add("other bytes", good=good, witness_torn=tears(witness()[begun:]) > 0)
 
 
@@ -171,8 +170,7 @@ def test_with_all_care_for_the_rig_bursts_are_felt_4_ms_later(timed_pipewire, tm
     assert found.half_p95_ms <= 18.0
     # a burst over silence passes half of its peak early: its gate opens with its first samples
     assert -4.0 < found.half_median_ms - found.budget_ms < 3.0
-    assert seen.latency.driving_ms == pytest.approx(4.0)
-    assert seen.exposure.cap == "action"
+    assert (seen.latency.driving_ms, seen.exposure.cap) == (pytest.approx(4.0), "action")
 
 
 def levels_db(vibration: Float32Array) -> Float32Array:

@@ -138,8 +138,7 @@ def test_a_delay_that_cannot_be_is_told_once_and_ignored(timed_pipewire, slow, d
 
 def test_where_nothing_is_declared_the_offset_is_0_and_sync_is_offered(server):
     with playing(server, "desktop", tone(60.0, 60.0)), running(server, engine=None) as daemon:
-        status = daemon.wait_ready()
-        shown = cushion(server, "status").stdout
+        status, shown = daemon.wait_ready(), cushion(server, "status").stdout
     assert (status.offset_ms, status.offset_reason) == (0.0, UNKNOWN)
     assert "not known: `cushion sync`" in " ".join(shown.split())
 

@@ -201,8 +201,7 @@ def test_with_a_daemon_each_tap_comes_at_its_offset_and_the_result_stays(server,
             terminal.press(b" ")
             trials = answered(terminal, feel, person, KEYS)
             assert terminal.wait() == 0, terminal.shown
-        shown = lags_ms(heard, felt)[-len(tried_ms) :]
-        own_ms = np.array(shown) - tried_ms
+        own_ms = np.array(lags_ms(heard, felt)[-len(tried_ms) :]) - tried_ms
         print(np.round(own_ms, 1))
         assert np.abs(own_ms - np.median(own_ms)).max() < 15.0
         found_ms = round(trials.estimate().delay_ms, 1)

@@ -78,14 +78,11 @@ def test_systemd_understands_every_name_and_argument(tmp_path):
     assert "not executable" in complaints(text.replace("; a b", "; a c"), tmp_path)
 
 
-def test_the_command_is_quoted_so_that_nothing_in_it_is_expanded():
+def test_the_command_is_quoted_and_a_newer_systemd_sends_the_signal_to_reload_itself():
     text = unit_text(("/opt/a b/100%/$x/cushion", "run", '$HOME %h "q" b\\s'), Path("/s %h"))
     quoted = '"/opt/a b/100%%/$x/cushion" "run" "$$HOME %%h \\"q\\" b\\\\s"'
     assert (line_of(text, "ExecStart"), line_of(text, "ReadWritePaths")) == (quoted, '"-/s %%h"')
     assert line_of(text, "ExecReload") == "/bin/kill -HUP $MAINPID"
-
-
-def test_a_newer_systemd_sends_the_signal_itself_and_waits_for_the_end_of_the_reload():
     old, new = (unit_text(("/cushion", "run"), STATE, systemd) for systemd in (252, 253))
     assert (old, line_of(old, "Type")) == (unit_text(("/cushion", "run"), STATE), "notify")
     assert "ReloadSignal" not in old

@@ -116,12 +116,19 @@ def test_the_socket_is_for_its_owner_alone_and_its_path_longer_than_an_address(t
     assert stat.S_IMODE(mode) == 0o600
 
 
-def test_many_requests_on_one_connection_are_answered_in_order(daemon):
+def test_many_requests_are_answered_in_order_and_a_status_that_cannot_be_told_harms_nobody(daemon):
     with daemon.connect() as client:
         client.sendall(ASK * 3 + b"nonsense\n" + ASK)
         client.shutdown(socket.SHUT_WR)
         answers = [json.loads(text) for text in everything(client).splitlines()]
     assert ["error" in parsed for parsed in answers] == [False, False, False, True, False]
+    for broken in (RuntimeError("boom\nboom"), replace(STATUS, since_s=float("nan"))):
+        daemon.status = broken
+        with pytest.raises(InternalError, match="does not report its status: the status"):
+            daemon.ask()
+    for whole in (replace(STATUS, warnings=("é" * 50_000,) * 2), STATUS):
+        daemon.status = whole
+        assert daemon.ask() == whole
 
 
 @pytest.mark.parametrize("half", [socket.SHUT_RD, socket.SHUT_RDWR])
@@ -144,16 +151,6 @@ def test_a_request_that_is_too_long_or_not_ended_is_answered_and_ends_the_connec
         client.sendall(ASK.strip())
         client.shutdown(socket.SHUT_WR)
         assert b"no line break" in everything(client)
-
-
-def test_a_status_that_cannot_be_told_harms_neither_daemon_nor_client(daemon):
-    for broken in (RuntimeError("boom\nboom"), replace(STATUS, since_s=float("nan"))):
-        daemon.status = broken
-        with pytest.raises(InternalError, match="does not report its status: the status"):
-            daemon.ask()
-    for whole in (replace(STATUS, warnings=("é" * 50_000,) * 2), STATUS):
-        daemon.status = whole
-        assert daemon.ask() == whole
 
 
 pieces = st.one_of(

@@ -49,7 +49,7 @@ def test_sound_passes_bit_for_bit_through_any_split_into_buffers(lengths, channe
     assert client.buffers == len(lengths) + 1
 
 
-def test_a_buffer_is_one_cycle_a_longer_one_as_few_as_can_be_and_none_waits_for_the_next():
+def test_a_buffer_is_one_cycle_or_as_few_as_can_be_and_expectations_are_the_tap_s():
     lengths = [1, 959, 960, 961, 0, 2_000]
     client, mixer = connected(cut(noise(sum(lengths)), lengths))
     assert mixer.frames == 960
@@ -58,9 +58,6 @@ def test_a_buffer_is_one_cycle_a_longer_one_as_few_as_can_be_and_none_waits_for_
         mixer.cycle(0.0, played)
         done.append((played, client.buffers))
     assert done == [(1, 1), (959, 2), (960, 3), (960, 4), (1, 4), (960, 6), (960, 6), (80, 6)]
-
-
-def test_what_is_expected_is_what_the_tap_expects_and_close_closes_the_tap():
     tap = cut(noise(500), [100])
     client = TapClient(tap)
     assert client.frames_expected == 500

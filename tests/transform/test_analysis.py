@@ -14,19 +14,8 @@ from audioflinger_hook.transform.design.analysis import AnalysisDesign
 from audioflinger_hook.transform.input_stage import BandPass, design_band_pass
 from audioflinger_hook.transform.principal import PrincipalFinder, Principals, Spectrum, magnitude
 from tests.oracle.analysis import all_principal, strongest_principal
+from tests.support import signals
 from tests.support.kernel_probes import probes
-from tests.support.signals import (
-    chirp,
-    five_tones,
-    identical,
-    joined,
-    low_noise,
-    one_sample,
-    silence,
-    square,
-    tone,
-    white_noise,
-)
 
 if probes is None:
     pytest.skip("no C compiler", allow_module_level=True)
@@ -75,7 +64,7 @@ def assert_agree(design, spectra):
 
 def assert_identical(ours, theirs):
     for one, other in zip(fields(ours), fields(theirs), strict=True):
-        assert identical(one, other)
+        assert signals.identical(one, other)
 
 
 def spectra_of(sound, samplerate):
@@ -89,21 +78,25 @@ def spectra_of(sound, samplerate):
 def chord(samplerate):
     """Return ten partials of a chord, some of them closer than a window can part."""
     partials = (110, 220, 330, 441, 450, 663, 771, 884, 992, 1_100)
-    return sum(tone(hz, 0.5, samplerate, 0.09) for hz in partials)
+    return sum(signals.tone(hz, 0.5, samplerate, 0.09) for hz in partials)
 
 
 SOUNDS = {
-    "white noise": lambda rate: white_noise(0.6, rate),
-    "faint noise": lambda rate: white_noise(0.4, rate, 0.02),
-    "low noise": lambda rate: low_noise(0.4, rate, 0.05) if rate > 1_000 else silence(0.1, rate),
-    "tone": lambda rate: tone(97, 0.3, rate, 1.0),
-    "two tones": lambda rate: tone(61, 0.3, rate, 0.5) + tone(0.31 * rate, 0.3, rate, 0.4),
+    "white noise": lambda rate: signals.white_noise(0.6, rate),
+    "faint noise": lambda rate: signals.white_noise(0.4, rate, 0.02),
+    "low noise": lambda rate: (
+        signals.low_noise(0.4, rate, 0.05) if rate > 1_000 else signals.silence(0.1, rate)
+    ),
+    "tone": lambda rate: signals.tone(97, 0.3, rate, 1.0),
+    "two tones": lambda rate: (
+        signals.tone(61, 0.3, rate, 0.5) + signals.tone(0.31 * rate, 0.3, rate, 0.4)
+    ),
     "chord": chord,
-    "five tones": lambda rate: five_tones(0.3, rate),
-    "chirp": lambda rate: chirp(60, 0.23 * rate, 0.4, rate),
-    "square": lambda rate: square(90, 0.2, rate),
-    "one sample": lambda rate: one_sample(0.2, rate, 0.1),
-    "silence": lambda rate: silence(0.2, rate),
+    "five tones": lambda rate: signals.five_tones(0.3, rate),
+    "chirp": lambda rate: signals.chirp(60, 0.23 * rate, 0.4, rate),
+    "square": lambda rate: signals.square(90, 0.2, rate),
+    "one sample": lambda rate: signals.one_sample(0.2, rate, 0.1),
+    "silence": lambda rate: signals.silence(0.2, rate),
 }
 
 
@@ -133,7 +126,9 @@ def test_it_finds_what_the_oracle_finds(kind, samplerate):
 def test_it_finds_what_the_oracle_finds_for_other_parameters_and_rules(changes):
     parameters = TransformParameters(**changes)
     spectrum = Spectrum.of(parameters, 44_100)
-    sound = joined(*(SOUNDS[kind](44_100) for kind in ("white noise", "chord", "low noise")))
+    sound = signals.joined(
+        *(SOUNDS[kind](44_100) for kind in ("white noise", "chord", "low noise"))
+    )
     spectra = spectrum.transform(sliding_window_view(sound, spectrum.window_frames)[::1_500])
     assert len(assert_agree(designed(spectrum, parameters), spectra)) > len(spectra)
     for weakest_image, side_lobe in product((0.0, 0.05, np.inf), (0.0, 0.3)):
@@ -186,7 +181,7 @@ def test_of_equal_peaks_the_lower_ones_stay():
 def test_a_rows_result_does_not_depend_on_its_company_or_on_what_came_before():
     design = designed(Spectrum.of(PARAMETERS, 48_000))
     # Every kind, and what lies between them.
-    spectra = spectra_of(joined(*(SOUNDS[kind](48_000) for kind in SOUNDS)), 48_000)
+    spectra = spectra_of(signals.joined(*(SOUNDS[kind](48_000) for kind in SOUNDS)), 48_000)
     together = strongest(design, spectra)
     for row in np.random.default_rng(0).permutation(len(spectra)):
         alone = strongest(design, spectra[row : row + 1])
@@ -220,7 +215,7 @@ def test_strange_numbers_end_in_numbers_and_stay_in_their_row(strange, where, bo
     spectrum = Spectrum.of(PARAMETERS, 8_000)
     changes = {} if bound else {"peak_span_min": -1.0, "weakest_image": -1.0}
     design = designed(spectrum, **changes)
-    spectra = spectra_of(white_noise(0.5, 8_000), 8_000)[:3].copy()
+    spectra = spectra_of(signals.white_noise(0.5, 8_000), 8_000)[:3].copy()
     expected, parts = strongest(design, spectra), spectra[1].view(np.float64)
     places = {
         "everywhere": slice(None),

@@ -5,16 +5,7 @@ import pytest
 
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.mapping import VibrationMapping, vibration_hz
-from tests.support.signals import (
-    FORMS,
-    best_sinusoid,
-    level_db,
-    one_sample,
-    played,
-    thinned,
-    tone,
-    white_noise,
-)
+from tests.support import signals
 
 RATE = 48_000
 PAPER = TransformParameters()
@@ -40,19 +31,23 @@ def test_by_energy_power_follows_height_squared_times_width():
 
 
 def by_either_law(sound, form):
-    return (played(sound, RATE, form=form, parameters=each)[:, 0] for each in (PAPER, ENERGY))
+    return (
+        signals.played(sound, RATE, form=form, parameters=each)[:, 0] for each in (PAPER, ENERGY)
+    )
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", signals.FORMS)
 def test_by_energy_a_tone_is_the_same_noise_stronger_and_one_sample_a_faint_thump(form):
     middle = slice(RATE // 4, 3 * RATE // 4)
-    tonal, energy = by_either_law(tone(440, 1.0, RATE, 0.5), form)
+    tonal, energy = by_either_law(signals.tone(440, 1.0, RATE, 0.5), form)
     # The tone's r is read off a bell or a line between bins: within 1.4 %, and its root here.
-    assert level_db(energy[middle]) == pytest.approx(level_db(tonal[middle]), abs=0.1)
-    tonal, energy = by_either_law(white_noise(2.0, RATE, 0.5), form)
-    assert level_db(energy) > level_db(tonal) + 6.0
+    assert signals.level_db(energy[middle]) == pytest.approx(
+        signals.level_db(tonal[middle]), abs=0.1
+    )
+    tonal, energy = by_either_law(signals.white_noise(2.0, RATE, 0.5), form)
+    assert signals.level_db(energy) > signals.level_db(tonal) + 6.0
     assert np.abs(energy).max() < 1.0
-    tonal, energy = by_either_law(one_sample(0.6, RATE, 0.3), form)
+    tonal, energy = by_either_law(signals.one_sample(0.6, RATE, 0.3), form)
     # Its onset is felt before it is known that nothing follows: 18 dB weaker, without that 24.
     assert 0.0 < np.abs(energy).max() < np.abs(tonal).max() / 6
 
@@ -77,10 +72,10 @@ def test_the_slope_is_that_of_the_mapping(parameters):
 
 @pytest.mark.parametrize("audio_hz", [200.0, 1_000.0, 4_000.0])
 def test_a_tone_is_felt_where_its_mapping_says(audio_hz):
-    vibration = played(tone(audio_hz, 2.0, RATE, 0.5), RATE, parameters=JND)[:, 0]
-    steady, rate = thinned(vibration[RATE // 2 : 3 * RATE // 2], RATE)
+    vibration = signals.played(signals.tone(audio_hz, 2.0, RATE, 0.5), RATE, parameters=JND)[:, 0]
+    steady, rate = signals.thinned(vibration[RATE // 2 : 3 * RATE // 2], RATE)
     wanted = float(vibration_hz(np.array(audio_hz), JND))
-    hz, amplitude, residual_db = best_sinusoid(steady, rate, wanted)
+    hz, amplitude, residual_db = signals.best_sinusoid(steady, rate, wanted)
     assert hz == pytest.approx(wanted, abs=0.1)
     assert amplitude == pytest.approx(0.5, rel=0.06)
     assert residual_db < -50

@@ -242,8 +242,7 @@ def test_the_level_of_what_lasts_follows_as_late_as_declared(samplerate, hz):
     delay_s %= 1 / swell_hz
     # Declared for 60 Hz of vibration (145 Hz of audio). The low-pass delays 170 Hz (3 kHz) by
     # 1.6 ms more; and the band-pass, which is no part of the latency, delays 60 Hz of audio 3 ms.
-    late_s = transform.tonal_latency_frames / samplerate
-    assert abs(delay_s - late_s) <= 0.0035
+    assert abs(delay_s - transform.tonal_latency_frames / samplerate) <= 0.0035
 
 
 def test_the_declared_latency_is_about_the_same_time_at_every_samplerate():

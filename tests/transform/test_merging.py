@@ -47,8 +47,7 @@ def pink_noise(seconds, samplerate=RATE, rms=0.1, seed=0):
     """Return noise of equal power in every octave above 20 Hz."""
     frames = round(seconds * samplerate)
     spectrum = np.fft.rfft(np.random.default_rng(seed).standard_normal(frames))
-    hz = np.fft.rfftfreq(frames, 1 / samplerate)
-    spectrum /= np.sqrt(np.maximum(hz, 20.0))
+    spectrum /= np.sqrt(np.maximum(np.fft.rfftfreq(frames, 1 / samplerate), 20.0))
     spectrum[0] = 0.0
     noise = np.fft.irfft(spectrum, frames)
     return rms / float(noise.std()) * noise
@@ -75,8 +74,7 @@ def test_close_partials_become_one_of_the_same_energy_and_farther_ones_stay_two(
         assert dominance == pytest.approx([0.64])
     pair = [base_hz, base_hz + 1.01 * float(merging_hz(TRACKING, base_hz))]
     hz, amplitude, dominance = merged(pair, [0.3, 0.4])
-    assert hz == pytest.approx(pair)
-    assert amplitude == pytest.approx([0.3, 0.4])
+    assert (hz, amplitude) == (pytest.approx(pair), pytest.approx([0.3, 0.4]))
     assert dominance.tolist() == [1.0, 1.0]
 
 
@@ -126,15 +124,7 @@ def test_nothing_and_partials_without_amplitude_give_no_group(sounding_hz):
         assert all(part.shape == (0,) for part in merged(hz, amplitude, sounding_hz))
 
 
-def test_what_sounds_keeps_its_partials():
-    # 40 Hz reaches to 64 Hz, 66 Hz from 26.4 Hz on: 54 Hz belongs to that which is nearer.
-    joined_one, alone = np.hypot(0.3, 0.1), 0.3
-    for middle_hz, expected in ((52.0, [joined_one, alone]), (54.0, [alone, joined_one])):
-        found = merged([40.0, middle_hz, 66.0], [0.3, 0.1, 0.3], [40.0, 66.0])
-        assert found[1] == pytest.approx(expected)
-
-
-def test_two_groups_that_wander_by_a_fifth_of_the_distance_stay_what_they_are():
+def test_what_sounds_keeps_its_partials_and_groups_that_wander_a_little_stay():
     distance = float(merging_hz(TRACKING, 60.0))
     # Two that sound, between merge_again and the whole distance, stay two; what is new, one.
     pair = [60.0, 60.0 + 0.9 * distance]
@@ -143,6 +133,11 @@ def test_two_groups_that_wander_by_a_fifth_of_the_distance_stay_what_they_are():
     assert merged(pair, [0.3, 0.3], [75.0])[0].size == 1
     pair = [60.0, 60.0 + 0.7 * distance]
     assert merged(pair, [0.3, 0.3], pair)[0].size == 1
+    # 40 Hz reaches to 64 Hz, 66 Hz from 26.4 Hz on: 54 Hz belongs to that which is nearer.
+    joined_one, alone = np.hypot(0.3, 0.1), 0.3
+    for middle_hz, expected in ((52.0, [joined_one, alone]), (54.0, [alone, joined_one])):
+        found = merged([40.0, middle_hz, 66.0], [0.3, 0.1, 0.3], [40.0, 66.0])
+        assert found[1] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("base_hz", [40.0, 70.0, 110.0])
@@ -202,14 +197,11 @@ def oscillators(parameters):
     return [(tuple(end[:, 3]), end[:, 5]) for end in ends]
 
 
-def test_the_paper_s_partials_are_not_merged():
+def test_the_paper_s_partials_are_not_merged_and_those_that_are_stay_one_oscillator():
     for parameters in (TransformParameters(), parameters_of("paper")):
         assert parameters.merge_ratio == 0.0
         assert {len(slots) for slots, _ in oscillators(parameters)} == {len(CHORD_HZ)}
     assert {len(slots) for slots, _ in oscillators(CINEMA)} == {1}
-
-
-def test_partials_that_are_one_stay_one_oscillator_from_hop_to_hop():
     hops = oscillators(CINEMA)
     assert len(hops) > 50
     assert len({slots for slots, _ in hops}) == 1

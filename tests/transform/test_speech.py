@@ -136,7 +136,7 @@ def convinced():
     raise AssertionError("no hop like that")
 
 
-def test_harmonics_of_a_clear_pitch_are_lowered_and_what_lies_between_is_not():
+def test_harmonics_of_a_voice_are_lowered_and_neither_what_lies_between_nor_what_hides_it():
     speech = convinced()
     pitch_hz = float(np.exp(speech.log_pitch))
     assert 100.0 < pitch_hz < 160.0  # the speaker's
@@ -145,9 +145,6 @@ def test_harmonics_of_a_clear_pitch_are_lowered_and_what_lies_between_is_not():
     assert (between == 1.0).all()
     # What is known coarsely alone may be either.
     assert (speech.gains(pitch_hz * np.array([3.5, 4.5]), coarse=True) < 0.2).all()
-
-
-def test_what_hides_a_voice_and_is_far_louder_is_not_lowered():
     speech = convinced()
     # A flat spectrum is a click's.
     speech.hear(*cues(DESIGN, np.full((1, BINS), 0.3 + 0.0j))[0])

@@ -52,16 +52,13 @@ def test_a_tone_is_told_with_the_vibration_it_is_mapped_to():
     assert amplitude == pytest.approx(np.abs(vibration[-4_800:]).max(), rel=0.05)
 
 
-def test_silence_and_a_reset_tell_nothing():
+def test_silence_a_reset_and_the_reference_form_tell_nothing():
     transform = opened(RATE, 1)
     transform.process(joined(tones(440.0), silence(1.0, RATE)))
     assert transform.principal == ()
     transform.process(tones(440.0))
     transform.reset()
     assert transform.principal == ()
-
-
-def test_the_reference_form_tells_and_records_nothing():
     transform = opened(RATE, 1, "reference")
     transform.process(tones(440.0))
     assert (transform.principal, transform.take_glides().shape) == ((), (0, len(GLIDE_COLUMNS)))

@@ -85,8 +85,7 @@ def session(monkeypatch, tmp_path):
     command = ["dbus-daemon", "--session", "--nofork", "--print-address"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as daemon:
         assert daemon.stdout is not None
-        address = daemon.stdout.readline().strip()
-        monkeypatch.setenv("DBUS_SESSION_BUS_ADDRESS", address)
+        monkeypatch.setenv("DBUS_SESSION_BUS_ADDRESS", daemon.stdout.readline().strip())
         yield daemon
         daemon.terminate()
 
@@ -211,13 +210,10 @@ def test_without_a_session_bus_it_says_so(monkeypatch, tmp_path):
         asyncio.run(show(Menu(lambda _: None), 5.0))
 
 
-def test_the_strength_stays_within_what_is_allowed():
+def test_the_strength_stays_within_what_is_allowed_and_a_menu_says_why_it_is_empty():
     loudest = SETTINGS | {"keys": [GAIN | {"value": -1.0}]}
     by_label = {entry.label: entry.request for entry in entries(loudest)}
     assert by_label["Stronger"] == {"set": {"gain_db": 0.0}}
     full = {entry.label: entry for entry in entries({"keys": [GAIN | {"value": 0.0}]})}
     assert full["Stronger"].request is None
-
-
-def test_without_a_daemon_the_menu_says_what_is_missing():
     assert entries(None, "no daemon is running") == [Entry("no daemon is running")]

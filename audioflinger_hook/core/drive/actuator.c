@@ -137,18 +137,12 @@ static double ramp_now(const Ramp *ramp)
     return ramp->from + (ramp->to - ramp->from) * smooth_step((double)ramp->done / (double)ramp->frames);
 }
 
-static void ramp_to(Ramp *ramp, double value)
-{
-    if (value == ramp->to)
-        return;
-    ramp->from = ramp_now(ramp);
-    ramp->to = value;
-    ramp->done = 0;
-}
-
 INLINED double ramp_step(Ramp *ramp)
 {
-    ramp->done += ramp->done < ramp->frames;
+    if (ramp->done < ramp->frames)
+        ramp->done++;
+    else if (ramp->wanted != ramp->to)
+        *ramp = (Ramp){ramp->to, ramp->wanted, ramp->wanted, 1, ramp->frames};
     return ramp_now(ramp);
 }
 
@@ -184,15 +178,15 @@ void actuator_set(Actuator *a, TapPoint tap, double factor, int audible, int at_
 {
     const double open = audible ? 1.0 : 0.0;
     a->wanted_tap = tap;
-    ramp_to(&a->level, factor);
-    ramp_to(&a->audible, open);
+    a->level.wanted = factor;
+    a->audible.wanted = open;
     if (!at_once)
         return;
     const size_t frames = frames_in(FADE_S, a->samplerate);
     a->tap = a->next_tap = tap;
     a->tap_fade_frames = a->tap_faded = frames;
-    a->level = (Ramp){factor, factor, frames, frames};
-    a->audible = (Ramp){open, open, frames, frames};
+    a->level = (Ramp){factor, factor, factor, frames, frames};
+    a->audible = (Ramp){open, open, open, frames, frames};
 }
 
 /* Return the delayed source times the level. A change of source or delay starts a cross-fade after the

@@ -62,9 +62,10 @@ typedef struct {
     size_t source, delay;
 } TapPoint;
 
-/* A factor that changes along `smooth_step`. */
+/* A factor that changes along `smooth_step`. A change waits until the one before has ended: cut short, that
+ * would click. */
 typedef struct {
-    double from, to;
+    double from, to, wanted;
     size_t done, frames; /* done == frames: `to` is reached */
 } Ramp;
 

@@ -234,7 +234,8 @@ class NativeEngine:
         ends = {chain.tap: chain for chain in self._wiring.chains}
         for running in self.chains.running:
             chain = ends[running.chain.tap]
-            wanted = self._wiring.device_links(graph, chain) if chain.linked else set()
+            on_device = self._wiring.device_links(graph, chain) if chain.linked else set()
+            wanted = on_device
             if len(wanted) < sum(actuator is not None for actuator in chain.played):
                 wanted = set()  # some ports of the device do not exist yet
             if self._wiring.by_monitor and chain.linked:
@@ -245,7 +246,11 @@ class NativeEngine:
                 first |= self._wiring.tap_links(graph, chain)
                 if keeper.missing_for_s(first, now_s) <= REFUSED_S:
                     wanted = wanted | first
-            exist = bool(wanted and chain.tap_ports(graph)) and keeper.are_there(wanted)
+            missing = keeper.missing(wanted)
+            is_late = keeper.missing_for_s(missing, now_s) > REFUSED_S
+            if running.is_linked and missing < on_device and not is_late:
+                missing = set()  # a further channel of the device; the others play on
+            exist = bool(wanted and chain.tap_ports(graph)) and not missing
             if exist and not running.is_linked:
                 self.chains.backoff.succeeded()
             running.note_links(now_s, exist=exist)

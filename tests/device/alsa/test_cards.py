@@ -83,16 +83,13 @@ def test_an_input_is_found_by_its_cards_name_and_offers_its_own_formats(cards, t
     assert alsa.why_blocked(alsa.find_playback("DAC", cards.root), tmp_path) is None
 
 
-def test_a_usb_card_tells_its_formats_and_only_those_of_playback():
+def test_a_usb_card_tells_only_its_formats_of_playback_and_a_range_of_rates_is_one():
     first, second, third = parse_usb_stream(ASYNC).formats
     rates = Rates((44_100, 48_000, 88_200, 96_000, 176_400, 192_000))
     assert first == UsbFormat(1, 1, ("S16_LE",), 2, rates, 16, "ASYNC")
     assert second == UsbFormat(1, 2, ("S32_LE",), 2, rates, 24, "ASYNC")
     assert third.formats == ("SPECIAL", "DSD_U32_BE")
     assert parse_usb_stream(RUNNING).formats == (first, second, third)
-
-
-def test_a_range_of_rates_is_one():
     (found,) = parse_usb_stream(ADAPTIVE).formats
     rates = Rates(least=8_000, most=96_000)
     assert found == UsbFormat(1, 1, ("S24_3LE", "S16_LE"), 8, rates, 0, "ADAPTIVE")

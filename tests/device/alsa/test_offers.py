@@ -78,12 +78,9 @@ def test_there_are_as_many_channels_as_actuators_and_few_more(there, actuators, 
     assert choose_setup(some, 48_000, actuators, least).channels == chosen
 
 
-def test_the_rate_comes_before_the_resolution():
+def test_the_rate_comes_before_the_resolution_and_a_format_that_is_not_there_is_left_out():
     some = [offer((S16,), 2, Rates((48_000,)), 16), offer((S32,), 2, Rates((96_000,)), 32)]
     assert choose_setup(some, 48_000, 1) == CardSetup(S16, 48_000, 2)
-
-
-def test_a_format_that_turned_out_not_to_be_there_is_not_taken_again():
     assert choose_setup(alsa.ASSUMED, 48_000, 1) == CardSetup(S32, 48_000, 2)
     assert choose_setup(alsa.ASSUMED, 48_000, 1, without={S32}) == CardSetup(S16, 48_000, 2)
 

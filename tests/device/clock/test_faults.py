@@ -95,13 +95,10 @@ def test_a_server_that_fills_its_buffers_late_does_not_leave_a_delay_that_nobody
     assert course.last.target_s == pytest.approx(usual.last.target_s, abs=0.0015)
 
 
-def test_frames_that_the_output_slept_through_are_counted_as_an_overflow():
+def test_frames_slept_through_are_an_overflow_and_what_was_left_before_a_stall_is_not_played():
     line = DelayLine(1, 48_000, 48_000, capacity_s=0.5)
     course = run(line, TAP, replace(OUTPUT, gaps=((10.0, 11.0),)), 12.0)
     assert (course.last.overflows, course.last.resyncs, course.last.underflows) == (1, 0, 0)
-
-
-def test_what_was_left_before_a_stall_is_not_played_after_it():
     line = DelayLine(1, 48_000, 48_000, offset_s=0.3)
     course = run(line, replace(TAP, gaps=((10.0, 11.0),)), OUTPUT, 13.0)
     silent = np.array([state is DelayState.STARVED for state in course.states])

@@ -34,13 +34,10 @@ def cut(signal, lengths):
         start, turn = stop, turn + 1
 
 
-def test_an_actuator_without_wishes_gets_its_source_bit_for_bit_and_at_once():
+def test_an_actuator_gets_its_source_bit_for_bit_and_the_level_polarity_and_delay_it_asks_for():
     vibration, drive = noise(9_000, 2), Drive([RIGHT, LEFT], RATE)
     assert (drive.sources, drive.latency_frames) == (("left", "right"), 0)
     assert np.array_equal(drive.process(vibration), vibration[:, ::-1])
-
-
-def test_level_polarity_and_delay_are_those_asked_for():
     one = ActuatorSettings((0,), "mix", gain_db=-6.0, polarity="inverted", delay_ms=12.5)
     vibration = noise(3_000, 1)
     out, late = Drive([one], RATE).process(vibration), round(12.5e-3 * RATE)
@@ -114,6 +111,15 @@ def test_of_several_changes_within_a_fade_the_last_one_stays():
     drive.process(wave[:1_000])
     heard, late = drive.process(wave[1_000:]), round(20e-3 * RATE)
     assert np.array_equal(heard[late:], wave[1_000:-late])
+
+
+def test_a_level_that_changes_again_before_it_is_reached_has_no_bend():
+    drive, heard = Drive([ActuatorSettings((0,))], RATE), []
+    for gain_db in (0.0, -40.0, 0.0, -6.0, -3.0):
+        drive.change([ActuatorSettings((0,), gain_db=gain_db)])
+        heard.append(drive.process(np.ones((123, 1), np.float32)))
+    bend = np.abs(np.diff(np.concatenate(heard)[:, 0].astype(float), 2)).max()
+    assert bend < 6.0 / (FADE_S * RATE) ** 2 * 1.1  # that of a whole fade, and float32's rounding
 
 
 def test_who_needs_no_protection_waits_for_those_who_do():

@@ -31,13 +31,17 @@ DRIVEN: dict[str, tuple[Rig, dict[str, Any]]] = {
 }
 
 
-def test_nothing_is_done_unless_somebody_asks_for_it():
+def test_nothing_is_done_unless_somebody_asks_for_what_can_be():
     assert drive_design("paper", RATE) is None
     wanted: Any = {"damping": "auto", "exposure_cap": "limit"}
     asked, again = (drive_design("paper", RATE, **wanted) for _ in range(2))
     assert asked is not None
     assert asked is again
     assert (asked.damping, asked.exposure_cap) == (DAMPING, "limit")
+    with pytest.raises(UsageError, match="'loud'"):
+        drive_design("loud", RATE, protection="on")
+    with pytest.raises(UsageError, match="samplerate=4000"):
+        drive_design("paper", 4_000, protection="on")
 
 
 def felt_rms(drive):
@@ -113,10 +117,3 @@ def test_no_byte_and_no_reading_depends_on_how_the_stream_is_cut(case, cuts, see
     assert (split.readings, whole.protection().replaced_samples) == (whole.readings, 3)
     assert whole.protection().limited_blocks > 0
     assert (whole.exposure_gain < 1.0) == (case == "capped")
-
-
-def test_what_cannot_be_is_refused_by_name():
-    with pytest.raises(UsageError, match="'loud'"):
-        drive_design("loud", RATE, protection="on")
-    with pytest.raises(UsageError, match="samplerate=4000"):
-        drive_design("paper", 4_000, protection="on")

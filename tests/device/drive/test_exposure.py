@@ -59,16 +59,13 @@ def dose_of(weighted, samplerate=1_000):
     return Exposure.of([DoseSums(*each) for each in zip(*sums, strict=True)])
 
 
-def test_a_sine_of_two_for_a_minute_by_hand():
+def test_a_sine_for_a_minute_by_hand_and_each_reading_is_of_the_channel_where_it_is_largest():
     # mean square 2, mean fourth power 3/8 * 16 = 6
     exposure = dose_of(tone(10.0, 2.0, 60.0, 1_000))
     assert exposure.time_s == pytest.approx(60.0)
     assert exposure.rms_m_s2 == pytest.approx(math.sqrt(2.0))
     assert exposure.a8_m_s2 == pytest.approx(math.sqrt(2.0 * 60.0 / DAY_S), rel=1e-9)
     assert exposure.vdv == pytest.approx((6.0 * 60.0) ** 0.25, rel=1e-9)
-
-
-def test_each_reading_is_of_the_channel_where_it_is_largest():
     # One channel hums with 1 m/s^2 for 60 s, the other knocks once with 100 for 1 ms: VDV 17.8.
     weighted = np.zeros((60_000, 2))
     weighted[:, 0], weighted[7, 1] = 1.0, 100.0
@@ -78,14 +75,11 @@ def test_each_reading_is_of_the_channel_where_it_is_largest():
     assert (hum.above_action, both.above_action) == (False, True)
 
 
-def test_values_of_the_directive_are_told():
+def test_values_of_the_directive_are_told_and_how_much_is_extrapolated():
     over = replace(NOTHING, a8_m_s2=0.5)
     assert (over.above_action, over.above_limit) == (True, False)
     assert not replace(NOTHING, a8_m_s2=0.49, vdv=9.0).above_action
     assert replace(NOTHING, vdv=21.0).above_limit
-
-
-def test_it_says_how_much_is_extrapolated():
     shares = []
     for frequency_hz in (30.0, 180.0):
         driven = RigDriver(BARE, 6_000)

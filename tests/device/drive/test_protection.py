@@ -270,7 +270,7 @@ def capped(rig, samplerate, used):
     return protector
 
 
-def test_the_gain_of_the_exposure_cap_is_kept():
+def test_the_gain_of_the_exposure_cap_is_kept_and_it_is_named_where_others_limit_too():
     used = 1.0 - 0.25**2 / 2.0  # of the dose: half of it is free, and the rest allows 0.25
     protector, drive = capped(PAPER, RATE, used), 0.5 * tone(50.0, 0.5)[:, None]
     out, latency = protector.process(drive), protector.latency_frames
@@ -278,9 +278,6 @@ def test_the_gain_of_the_exposure_cap_is_kept():
     # What is added meanwhile lowers the gain a little.
     np.testing.assert_allclose(out[RATE // 4 : RATE // 2, 0], expected, rtol=1e-3, atol=1e-7)
     assert protector.protection().limited_by == "outside"
-
-
-def test_the_cap_is_named_although_the_drive_is_beyond_other_limits_too():
     drive = tone(60.0, 0.5, 6_000)[:, None]
     for used, limited_by in ((0.0, "excursion, current or level"), (0.99, "outside")):
         protector = capped(LOUDER, 6_000, used)
@@ -320,16 +317,7 @@ def test_silence_comes_to_rest_and_stays_there():
     assert (status.excursion_m, status.gain, status.limited_by) == (0.0, 1.0, "")
 
 
-def test_what_is_out_of_range_is_refused_by_name():
-    with pytest.raises(UsageError, match="samplerate="):
-        RigDriver(PAPER, 500, 1)
-    with pytest.raises(InternalError, match="shape"):
-        RigDriver(PAPER, RATE, 1).process(np.zeros((10, 2)))
-    with pytest.raises(UsageError, match="coil_j_per_k=0"):
-        ThermalParameters(4.0, 0, 3.0, 400.0)
-
-
-def test_the_limits_are_those_that_the_rig_describes():
+def test_the_limits_are_those_that_the_rig_describes_and_what_is_out_of_range_is_refused():
     assert limits_of(LOUDER).level == 30.0 / 40.0  # where its amplifier clips
     assert limits_of(PAPER).level == 1.0
     limits, amplifier = limits_of(CONSUMER), CONSUMER.amplifier
@@ -338,6 +326,12 @@ def test_the_limits_are_those_that_the_rig_describes():
     soft = replace(PAPER, large_signal=replace(LARGE, stiffness_rise=0.1))
     assert limits_of(soft).stiffness_rise == 0.1
     assert limits_of(LOUD).current_a is None  # an amplifier without such a limit
+    with pytest.raises(UsageError, match="samplerate="):
+        RigDriver(PAPER, 500, 1)
+    with pytest.raises(InternalError, match="shape"):
+        RigDriver(PAPER, RATE, 1).process(np.zeros((10, 2)))
+    with pytest.raises(UsageError, match="coil_j_per_k=0"):
+        ThermalParameters(4.0, 0, 3.0, 400.0)
 
 
 def test_a_rig_that_does_not_say_how_it_warms_up_has_no_temperature_and_no_limit_of_it():

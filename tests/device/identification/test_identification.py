@@ -215,9 +215,6 @@ def test_a_recording_that_is_none_and_a_sweep_out_of_range_are_refused():
     broken[5:7] = math.nan
     with pytest.raises(IdentificationError, match="acceleration: 2 samples are not finite"):
         Recording(sweep, silence, broken)
-
-
-def test_a_sweep_out_of_range_is_refused_with_every_value():
     with pytest.raises(UsageError, match=r"low_hz=0\.0.*high_hz=30000\.0.*duration_s=nan.*level=2"):
         Sweep(low_hz=0.0, high_hz=30_000.0, duration_s=math.nan, level=2.0)
     with pytest.raises(UsageError, match=r"share=0\.3 of Xmax must be above 0, up to 0\.15"):

@@ -284,13 +284,10 @@ def test_a_resistance_that_no_coil_has_is_laid_to_the_shunt():
         calibrated(devices)
 
 
-def test_a_rig_that_would_move_too_far_is_never_driven_so_far():
+def test_a_rig_that_would_move_too_far_or_does_not_follow_the_level_is_driven_no_louder():
     devices = SimulatedDevices(PAPER, ALONE)
     small = replace(PAPER, actuator=replace(PAPER.actuator, x_max_m=1e-5))
     assert ("lower the level" in refused(devices, small), devices.runs) == (True, 1)
-
-
-def test_a_response_that_does_not_grow_with_the_level_ends_it():
     devices = SimulatedDevices(PAPER, ALONE)
     devices.change = lambda name, samples, first: samples / devices.runs
     assert "acceleration grew by 1, but the level by 2" in refused(devices)
@@ -403,14 +400,11 @@ def test_the_drift_of_two_clocks_is_found_to_a_few_ppm(drift_ppm):
     assert laboratory.delay_s == pytest.approx(0.0634, abs=0.012)  # with the block and the ring
 
 
-def test_marks_far_apart_are_compared_whatever_lies_between():
+def test_marks_far_apart_are_compared_and_a_recording_is_brought_to_the_played_clock():
     excitation = Excitation(SWEEP)
     channel = np.concatenate([np.zeros(1234), excitation.samples, np.zeros(4000)])
     assert find_delay(excitation, channel, "x") == 1234
     assert abs(find_drift(excitation, channel, 1234, "x").value) < 0.01
-
-
-def test_a_recording_on_the_played_clock_is_as_if_there_was_one():
     at = np.arange(60_000)
     smooth = np.sin(2.0 * np.pi * 300.0 * (at / (1.0 + 150e-6)) / RATE)
     shown = resample_to_played(smooth, 1000.0 * (1.0 + 150e-6), 150.0, 50_000)

@@ -65,11 +65,12 @@ def test_a_file_is_found_by_its_path_and_named_after_it(tmp_path):
     assert (rig.seat, rig.sources) == (None, ())
 
 
-def test_a_measured_value_keeps_its_interval():
+def test_a_measured_value_keeps_its_interval_and_what_follows_may_be_stated():
     text = changed("resonance_hz", "{value = 51.0, measured = 'sweep', interval = [50.8, 51.2]}")
     source = parse_rig(text, "mine", "mine.toml").sources[0]
     assert (source.parameter, source.kind) == ("actuator.resonance_hz", "measured")
     assert source.interval == (50.8, 51.2)
+    assert parse_rig(PLAIN + "q_electrical = 3.93", "mine", "").name == "mine"
 
 
 def test_all_that_is_wrong_in_a_file_is_named_at_once():
@@ -126,10 +127,6 @@ CONTRADICTIONS = {
 @pytest.mark.parametrize("words", CONTRADICTIONS)
 def test_values_that_contradict_one_another_are_refused(words):
     assert words in refused(CONTRADICTIONS[words])
-
-
-def test_what_follows_may_be_stated():
-    assert parse_rig(PLAIN + "q_electrical = 3.93", "mine", "").name == "mine"
 
 
 @pytest.mark.parametrize(

@@ -77,14 +77,11 @@ def test_the_instruments_read_the_acceleration_within_their_noise():
     assert (silent.std(), chain.clipped_samples) == (pytest.approx(expected, rel=0.03), 0)
 
 
-def test_what_is_beyond_an_instrument_is_clipped_and_counted():
+def test_what_is_beyond_an_instrument_is_clipped_and_counted_as_is_the_amplifiers_current():
     chain = InstrumentChain(PAPER, FS)
     read = chain.acceleration_m_s2(2_000.0 * sine(90.0, 0.1))
     assert np.abs(read).max() <= 1_000.0 * (1 + 1e-9)  # 10 V
     assert chain.clipped_samples > 1_000
-
-
-def test_a_current_beyond_the_amplifiers_limit_is_counted():
     weak = replace(PAPER, amplifier=replace(PAPER.amplifier, current_limit_a=0.3))
     twin = SimulatedRig(weak, FS, 1)
     twin.write(0.9 * sine(60.0, 0.1)[:, None])
@@ -106,7 +103,7 @@ def test_the_dac_is_off_by_half_a_step_at_most(bits, sample, full_scale_v, dtype
     assert dac.clipped_samples == 0
 
 
-def test_the_dac_saturates_and_counts_what_is_beyond_full_scale():
+def test_dac_and_amplifier_saturate_and_count_what_is_beyond_full_scale():
     dac = Dac(DacParameters(bits=16, full_scale_v=2.0))
     samples = np.array([[1.0, -1.0], [1.001, -1.7e308], [math.nan, math.inf]])
     top = 2.0 * (1 - 2**-15)
@@ -115,9 +112,6 @@ def test_the_dac_saturates_and_counts_what_is_beyond_full_scale():
     assert np.isnan(samples[2, 0])  # the caller's array is left alone
     dac.reset()
     assert (dac.clipped_samples, dac.replaced_samples) == (0, 0)
-
-
-def test_the_amplifier_amplifies_and_counts_what_it_clips():
     amplifier = Amplifier(AmplifierParameters(10.0, output_limit_v=5.0, source_impedance_ohm=0.0))
     assert amplifier.drive(np.array([0.1, -0.5, 0.6, -9.0])).tolist() == [1.0, -5.0, 5.0, -5.0]
     assert amplifier.clipped_samples == 2

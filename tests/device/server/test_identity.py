@@ -33,13 +33,10 @@ def test_what_is_not_the_name_of_a_sink_is_never_tapped(name):
         monitor_of(server(), name)
 
 
-def test_a_sink_without_a_monitor_gets_no_other_source():
+def test_a_sink_without_a_monitor_and_a_default_that_is_missing_or_haptic_are_refused():
     for find in (lambda there: monitor_of(there, "desktop"), default_monitor):
         with pytest.raises(NotFoundError, match="has no monitor"):
             find(server(sources=MONITORS[1:]))
-
-
-def test_a_default_sink_that_is_missing_or_haptic_is_refused():
     for default, words in (("", "no default sink"), ("haptic", "feed back")):
         with pytest.raises(NotFoundError, match=words):
             default_monitor(server(default), "haptic")
@@ -69,12 +66,9 @@ def test_a_device_keeps_its_identity():
     assert not identity_of(sink(1, "null")).is_usb("", "")
 
 
-def test_a_stream_of_another_machine_with_our_process_id_is_not_ours():
+def test_a_stream_of_another_machine_is_not_ours_and_a_server_s_kind_is_in_its_name():
     assert identity.is_own_stream(stream(1, process_id=os.getpid()))
     there = {"application.process.host": "another-machine"}
     assert not identity.is_own_stream(stream(1, process_id=os.getpid(), properties=there))
-
-
-def test_the_kind_of_a_server_is_in_its_name():
     assert _kind("pulseaudio", "16.1") == ("PulseAudio", "16.1")
     assert _kind("PulseAudio (on PipeWire 0.3.65)", "15.0.0") == ("PipeWire", "0.3.65")

@@ -121,13 +121,10 @@ def test_a_raw_file_is_taken_as_it_is(shape):
     assert (parse_dump(raw), parse_dump(usb.device() + raw)) == ((raw,), (usb.device() + raw,))
 
 
-def test_a_description_is_read_by_its_bytes():
+def test_a_description_is_read_by_its_bytes_and_names_of_fields_in_comments_are_none():
     raws = (usb.device() + SHAPES["composite"], SHAPES["async_dac"])
     text = "".join("\n".join(["device 1", "bytes:", *hex_lines(raw), "", ""]) for raw in raws)
     assert parse_dump(text.encode()) == raws
-
-
-def test_names_of_fields_in_comments_make_no_text_of_lsusb():
     raw = usb.device()
     text = f"{{ 0x12, // bLength\n 0x01, /* bDescriptorType 1 */\n {raw[2:].hex(' ')} }}"
     assert parse_dump(text.encode()) == (raw,)
