@@ -237,6 +237,7 @@ def take_moving_picture(path: Path) -> None:
         session.send("Page.startScreencast", {"format": "jpeg", "quality": 95})
         page.wait_for_timeout(1e3 * MOVING_S)
         session.send("Page.stopScreencast")
+        session.remove_listener("Page.screencastFrame", keep)
     print(f"{len(shots) / (shots[-1][0] - shots[0][0]):.1f} pictures a second were drawn")
     frames = []
     for number in range(int((shots[-1][0] - shots[0][0]) * MOVING_HZ)):
