@@ -72,6 +72,25 @@ def test_the_first_screen_has_all_that_is_used_first(room, film, size):
     assert (below, scrolled) == ([], 0)
 
 
+@pytest.mark.parametrize("width", [320, 390, 768, 1024, 1280, 1366])
+def test_names_of_applications_stay_whole_and_parts_stay_inside_their_panels(room, width):
+    with playing(room.server, "desktop", tone(440.0, 30.0), name="Film player"):
+        page = opened(room, (width, 768))
+        says(page, "#applications", "Film player")
+        name_lines, outside = page.evaluate(
+            """() => {
+              const range = document.createRange();
+              const right = (one) => one.getBoundingClientRect().right;
+              range.selectNodeContents(document.querySelector("#applications .name").firstChild);
+              const parts = [...document.querySelectorAll("main .panel :not(.track *)")];
+              const outside = parts.filter((one) => right(one) > right(one.closest(".panel")) - 8);
+              return [range.getClientRects().length, outside.map((one) => one.outerHTML)];
+            }"""
+        )
+        page.context.close()
+    assert (name_lines, outside) == (1, [])
+
+
 @pytest.mark.parametrize("size", SIZES, ids=str)
 def test_five_first_tasks_take_at_most_two_steps_each(room, film, size):
     page = opened(room, size)

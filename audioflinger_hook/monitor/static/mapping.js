@@ -5,7 +5,7 @@ import { element } from "/elements.js";
 
 const TICKS = { audio: [20, 50, 100, 200, 500, 1000, 2000, 5000, 10000], felt: [20, 30, 50, 70, 100, 140, 220] };
 const RANGES = { audio: [20, 12000], felt: [20, 220] };
-const EDGE = 74, TOP = 14, TRAIL = 5; // frames that fade behind the newest
+const EDGE = 48, TOP = 14, TRAIL = 5; // frames that fade behind the newest
 const LABELS = 6, LABEL_GAP = 21, WORDS_MS = 250;
 
 export class Mapping {
