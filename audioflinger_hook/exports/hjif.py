@@ -21,9 +21,12 @@ LEVEL_1_BANDS, LEVEL_2_BANDS = 7, 63
 DRIFT_TURNS = 0.03
 """Largest phase drift of an effect in cycles. Larger drifts change the beats between partials."""
 
+PHASE_MAX = 6.28318  # largest phase in radians that the format allows
+
 BODY_PART_UNSPECIFIED = 0
-VERSION = "2024"
-DATE = "2024-01-01"  # constant, so that equal sounds give equal files
+AVATAR, DEVICE = 1, 1  # identifiers of both must be positive
+VERSION = "2023"
+DATE = "2024-01-01T00:00:00+00:00"  # constant, so that equal sounds give equal files
 
 
 class HjifWriter(TrackWriter):
@@ -56,7 +59,7 @@ class HjifWriter(TrackWriter):
         low_hz, high_hz = self._band_hz or (VIBRATION_LOW_HZ, VIBRATION_HIGH_HZ)
         rig = rig_by_name(self._job.settings.rig)
         device = {  # that the file is for
-            "id": 0,
+            "id": DEVICE,
             "name": "device" if self._band_hz else rig.name,
             "body_part_mask": BODY_PART_UNSPECIFIED,
             "minimum_frequency": low_hz,
@@ -73,9 +76,9 @@ class HjifWriter(TrackWriter):
                 "id": number,
                 "description": f"channel {number + 1}",
                 "gain": 1.0,
-                "mixing_weight": 1.0,
+                "mixing_coefficient": 1.0,
                 "body_part_mask": BODY_PART_UNSPECIFIED,
-                "reference_device_id": 0,
+                "reference_device_id": DEVICE,
                 "bands": [
                     {"band_type": "VectorialWave", **limits, "effects": effects} for effects in mine
                 ],
@@ -84,7 +87,7 @@ class HjifWriter(TrackWriter):
         ]
         perception = {
             "id": 0,
-            "avatar_id": 0,
+            "avatar_id": AVATAR,
             "description": "vibration of a seat",
             "perception_modality": "Vibrotactile",
             "reference_devices": [device],
@@ -101,7 +104,7 @@ class HjifWriter(TrackWriter):
                 f"{band_text(self._band_hz)}"
             ),
             "timescale": TICKS_A_SECOND,
-            "avatars": [{"id": 0, "lod": 0, "type": "Vibration"}],
+            "avatars": [{"id": AVATAR, "lod": 0, "type": "Vibration"}],
             "perceptions": [perception],
             "syncs": [{"timestamp": 0}],
         }

@@ -74,7 +74,8 @@ class SoundFileOutput:
     format, subtype: libsndfile's names, such as "FLAC" and "PCM_24".
     target: receives the encoded bytes; by default, they are written to the file.
     level: compression level, 0 to 1; default: that of libsndfile.
-    UsageError: the format does not support the rate or the channels, or the file cannot be created.
+    UsageError: the format does not support the channels, or the file cannot be created. For rates
+        that the format does not support, see `held_rate_hz`: libsndfile would crash.
     WriteError: the disk is full or has failed; no file remains.
     """
 
@@ -101,8 +102,9 @@ class SoundFileOutput:
             self._target.file.abort()
             if self._target.failure:
                 raise self._target.failure from None
+            reason = getattr(error, "error_string", error)
             raise UsageError(
-                f"{path}: {format} cannot hold {channels} channels at {samplerate} Hz ({error}); "
+                f"{path}: {format} cannot hold {channels} channels at {samplerate} Hz ({reason}); "
                 "choose fewer channels, another --output-rate or the format wav"
             ) from None
 
@@ -204,6 +206,11 @@ class ResampledOutput(WrappedOutput):
             skipped = min(due, max(0, self._to_skip - self._made))
             self._made += due
             self._output.write(frames[skipped:])
+
+
+def resampled(output: VibrationOutput, samplerate: int) -> VibrationOutput:
+    """Return an output that takes this sample rate in Hz: the given one, or a `ResampledOutput`."""
+    return output if output.samplerate == samplerate else ResampledOutput(output, samplerate)
 
 
 Watch = Callable[[FloatArray | Float32Array, int], None]
