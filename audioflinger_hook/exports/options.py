@@ -27,7 +27,7 @@ class Format:
     parametric: whether the file contains envelopes or partials instead of a waveform.
     channels_max: largest number of channels of vibration.
     rate_max_hz: highest sample rate of a waveform.
-    whole: whether the whole file is made in memory, so that the sound may last at most 3 hours.
+    whole: whether the whole file is made in memory, so that the sound may last at most 1 hour.
     """
 
     suffixes: tuple[str, ...]
