@@ -213,14 +213,11 @@ def rounded(value: float) -> float:
 def check_duration(duration_s: float, name: str) -> None:
     """Raise UsageError if a sound is too long for a format whose file is made in memory."""
     if duration_s > DURATION_MAX_S:
+        streamed = ", ".join(name for name, one in FORMATS.items() if not one.whole)
         raise UsageError(
-            f"the sound of {duration_s:.1f} s is too long for the format {name}, which players read "
-            f"as a whole; allowed: {DURATION_MAX_S:g} s; cut it, or choose one of: {_streamed()}"
+            f"the sound of {duration_s:.1f} s is too long for the format {name}, which a player "
+            f"reads as a whole; allowed: {DURATION_MAX_S:g} s; cut it, or choose one of: {streamed}"
         )
-
-
-def _streamed() -> str:
-    return ", ".join(name for name, one in FORMATS.items() if not one.whole)
 
 
 def refuse_settings(name: str, settings: Settings) -> None:
