@@ -15,9 +15,9 @@ from device.errors import InternalError, UsageError, WriteError
 from device.output import VibrationOutput
 from device.units import Float32Array, FloatArray, amplitude_to_db, check_channels
 
-BLOCK_FRAMES = {"FLAC": 32_768, "OGG": 4_096}
-"""Frames for each call of the encoder, by format. The constant size makes a file's bytes
-independent of the caller's blocks, and limits the stack of the Vorbis encoder.
+BLOCK_FRAMES = 4_096
+"""Frames for each call of the encoder. The constant size makes a file's bytes independent of the
+caller's blocks, and limits the stack of the Vorbis encoder.
 """
 
 
@@ -91,7 +91,7 @@ class SoundFileOutput:
         level: float | None = None,
     ) -> None:
         self.samplerate, self.channels = samplerate, channels
-        self.limited_samples, self._block_frames = 0, BLOCK_FRAMES[format]
+        self.limited_samples = 0
         self._held = np.zeros((0, channels), np.float32)
         self._target = target or LibsndfileTarget(path)
         self._file: soundfile.SoundFile | None = None
@@ -102,9 +102,9 @@ class SoundFileOutput:
             self._target.file.abort()
             if self._target.failure:
                 raise self._target.failure from None
-            reason = getattr(error, "error_string", error)
             raise UsageError(
-                f"{path}: {format} cannot hold {channels} channels at {samplerate} Hz ({reason}); "
+                f"{path}: {format} cannot hold {channels} channels at {samplerate} Hz "
+                f"({getattr(error, 'error_string', error)}); "
                 "choose fewer channels, another --output-rate or the format wav"
             ) from None
 
@@ -114,7 +114,7 @@ class SoundFileOutput:
             raise InternalError("the sound file is closed: nothing can be written to it")
         check_channels(vibration, self.channels)
         self._held = np.concatenate((self._held, vibration.astype(np.float32)))
-        whole = len(self._held) - len(self._held) % self._block_frames
+        whole = len(self._held) - len(self._held) % BLOCK_FRAMES
         self._encode(whole)
 
     def close(self) -> None:
@@ -141,9 +141,9 @@ class SoundFileOutput:
         if beyond := int(np.count_nonzero(np.abs(held) > 1.0)):
             self.limited_samples += beyond
             np.clip(held, -1.0, 1.0, out=held)
-        for first in range(0, frames, self._block_frames):
+        for first in range(0, frames, BLOCK_FRAMES):
             try:
-                self._file.write(held[first : first + self._block_frames])
+                self._file.write(held[first : first + BLOCK_FRAMES])
             except (soundfile.LibsndfileError, RuntimeError) as error:
                 self._target.failure = WriteError(f"cannot encode the sound file ({error})")
             self._raise_failure()
