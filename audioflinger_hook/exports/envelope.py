@@ -1,6 +1,5 @@
 """Approximates curves with straight lines, and a vibration with an envelope and transients."""
 
-import heapq
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -36,29 +35,29 @@ def simplify(
         edges.pop(-2)
         if last - edges[-2] > longest:  # two points may be at most `longest` apart
             edges.insert(-1, last - spacing)
-    kept = set(edges)
-    waiting: list[tuple[float, int, int, int]] = []
-
-    def consider(first: int, end: int) -> None:
-        low, high = first + spacing, end - spacing
-        if low > high:
-            return
-        part = slice(low, high + 1)
-        share = ((times[part] - times[first]) / (times[end] - times[first]))[:, None]
-        line = values[first] + share * (values[end] - values[first])
-        error = (np.abs(values[part] - line) / tolerance[part]).max(axis=1)
-        worst = int(error.argmax())
-        if error[worst] > 1.0:
-            heapq.heappush(waiting, (-float(error[worst]), first, low + worst, end))
-
-    for first, end in pairwise(edges):
-        consider(first, end)
-    while waiting:
-        _, first, place, end = heapq.heappop(waiting)
-        kept.add(place)
-        consider(first, place)
-        consider(place, end)
-    return np.array(sorted(kept), dtype=np.intp)
+    kept = np.zeros(last + 1, dtype=np.bool_)
+    kept[edges] = True
+    first, end = np.array(edges[:-1]), np.array(edges[1:])
+    while True:
+        wide = end - first >= 2 * spacing
+        first, end = first[wide], end[wide]
+        if not first.size:
+            return np.flatnonzero(kept)
+        # The points where each line may be split, of all lines in a row.
+        count = end - first - 2 * spacing + 1
+        begin = np.cumsum(count) - count
+        line = np.repeat(np.arange(first.size), count)
+        place = np.arange(line.size) - (begin - first - spacing)[line]
+        slope = (values[end] - values[first]) / (times[end] - times[first])[:, None]
+        drawn = values[first][line] + slope[line] * (times[place] - times[first][line])[:, None]
+        error = (np.abs(values[place] - drawn) / tolerance[place]).max(axis=1)
+        largest = np.maximum.reduceat(error, begin)
+        worst = np.flatnonzero(error == largest[line])
+        chosen = worst[np.searchsorted(worst, begin)]
+        split = largest > 1.0
+        middle = place[chosen[split]]
+        kept[middle] = True
+        first, end = np.append(first[split], middle), np.append(middle, end[split])
 
 
 def fitted(times: FloatArray, values: FloatArray, knots: FloatArray) -> FloatArray:

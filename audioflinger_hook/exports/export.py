@@ -15,6 +15,7 @@ from audioflinger_hook.exports.options import (
     ExportReport,
     check_channel_count,
     format_of,
+    held_rate_hz,
 )
 from audioflinger_hook.exports.parametric import (
     Composed,
@@ -28,9 +29,9 @@ from audioflinger_hook.exports.parametric import (
 )
 from audioflinger_hook.exports.sound_output import (
     LeakMeter,
-    ResampledOutput,
     SoundFileOutput,
     Watch,
+    resampled,
 )
 from audioflinger_hook.offline.render import Progress, render
 from audioflinger_hook.pipeline.framework import Framework
@@ -73,20 +74,21 @@ def export(
     name = options.format
     file: VibrationOutput
     meter: LeakMeter
+    rate: int  # of the file
 
     def open_file(path: Path, samplerate: int, channels: int) -> VibrationOutput:
-        nonlocal file, meter
+        nonlocal file, meter, rate
         check_channel_count(name, channels)
-        rate = options.output_rate_hz or samplerate
+        rate = options.output_rate_hz or held_rate_hz(name, samplerate)
         if name in WRITERS:
             file = DescribedOutput(path, samplerate, channels, settings, options, WRITERS[name])
         elif name == "flac":
             file = SoundFileOutput(path, rate, channels, "FLAC", "PCM_24")
         elif name == "ogg-haptic":
-            file = OggHapticOutput(path, rate, client.channels, channels)
+            file = OggHapticOutput(path, samplerate, rate, client.channels, channels)
         else:
             file = WavOutput(path, rate, channels)
-        meter = LeakMeter(file if rate == samplerate else ResampledOutput(file, samplerate), watch)
+        meter = LeakMeter(resampled(file, samplerate), watch)
         return meter
 
     def observe(framework: Framework) -> Callable[[Step], None] | None:
@@ -114,11 +116,13 @@ def export(
         )
     limited = getattr(file, "limited_samples", 0)
     more = [f"{limited} samples beyond full scale were limited"] if limited else []
+    if rate != (options.output_rate_hz or report.samplerate):
+        more.append(f"the format {name} cannot have {report.samplerate} Hz; the file has {rate} Hz")
     composed = file.composed if isinstance(file, DescribedOutput) else Composed()
     return ExportReport(
         format=name,
-        frames=-(-report.frames * file.samplerate // report.samplerate),
-        samplerate=file.samplerate,
+        frames=-(-report.frames * rate // report.samplerate),
+        samplerate=rate,
         channels=report.channels,
         duration_s=report.frames / report.samplerate,
         profile=report.profile,

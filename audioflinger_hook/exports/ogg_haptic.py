@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from audioflinger_hook.exports.sound_output import LibsndfileTarget, SoundFileOutput
+from audioflinger_hook.exports.sound_output import LibsndfileTarget, SoundFileOutput, resampled
 from device.drive.outputs import WrappedOutput
 from device.errors import InternalError, UsageError
 from device.units import Float32Array, FloatArray
@@ -28,11 +28,18 @@ _PAGE_HEAD = struct.Struct("<4sBBqIIIB")
 class OggHapticOutput(WrappedOutput):
     """Writes sound and vibration to one file. Only one thread may use it.
 
+    samplerate: of sound and vibration. file_rate: sample rate of the file, at most 200 000 Hz;
+        libvorbis crashes at higher rates. Both are in Hz.
     audio_channels: 1 to 8. haptic_channels: 1 or 2. UsageError, WriteError: see `SoundFileOutput`.
     """
 
     def __init__(
-        self, path: Path, samplerate: int, audio_channels: int, haptic_channels: int
+        self,
+        path: Path,
+        samplerate: int,
+        file_rate: int,
+        audio_channels: int,
+        haptic_channels: int,
     ) -> None:
         if audio_channels > AUDIO_CHANNELS_MAX:
             raise UsageError(
@@ -41,14 +48,14 @@ class OggHapticOutput(WrappedOutput):
             )
         self._file = SoundFileOutput(
             path,
-            samplerate,
+            file_rate,
             audio_channels + haptic_channels,
             "OGG",
             "VORBIS",
             target=_HapticPages(path, haptic_channels),
             level=COMPRESSION_LEVEL,
         )
-        super().__init__(self._file)
+        super().__init__(resampled(self._file, samplerate))
         self.channels = haptic_channels
         self._waiting: tuple[deque[Float32Array], ...] = (deque(), deque())
         """Blocks of sound that wait for vibration, and of vibration that wait for sound."""
@@ -72,7 +79,7 @@ class OggHapticOutput(WrappedOutput):
         while all(self._waiting):
             frames = min(len(blocks[0]) for blocks in self._waiting)
             parts = [blocks.popleft() for blocks in self._waiting]
-            self._file.write(np.hstack([part[:frames] for part in parts]))
+            super().write(np.hstack([part[:frames] for part in parts]))
             for blocks, part in zip(self._waiting, parts, strict=True):
                 if frames < len(part):
                     blocks.appendleft(part[frames:])

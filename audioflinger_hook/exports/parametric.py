@@ -20,7 +20,7 @@ from device.atomic_file import AtomicFile
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray, db_to_amplitude
 
-DURATION_MAX_S = 3 * 3600.0  # longest sound of formats whose file is composed in memory
+DURATION_MAX_S = 3600.0  # longest sound of formats whose file is composed in memory
 SHORTEST_S = 0.001
 
 
@@ -82,7 +82,7 @@ class DescribedOutput:
             self._heard += len(step.audio)
             self._played += len(step.vibration)
             if FORMATS[self._format].whole:
-                check_duration(self._played / self.samplerate, self._format)
+                check_duration(self._heard / self.samplerate, self._format)
             rows = framework.take_glides()
             for channel in range(self.channels):
                 self._writer.add(channel, rows[rows[:, CHANNEL] == channel], self._played)
@@ -213,9 +213,10 @@ def rounded(value: float) -> float:
 def check_duration(duration_s: float, name: str) -> None:
     """Raise UsageError if a sound is too long for a format whose file is made in memory."""
     if duration_s > DURATION_MAX_S:
+        streamed = ", ".join(name for name, one in FORMATS.items() if not one.whole)
         raise UsageError(
-            f"the sound is longer than the format {name} may hold; allowed: "
-            f"{DURATION_MAX_S / 3600:g} hours; cut it, or choose one of: partials, wav, flac"
+            f"the sound of {duration_s:.1f} s is too long for the format {name}, which a player "
+            f"reads as a whole; allowed: {DURATION_MAX_S:g} s; cut it, or choose one of: {streamed}"
         )
 
 

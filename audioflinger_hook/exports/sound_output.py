@@ -74,7 +74,8 @@ class SoundFileOutput:
     format, subtype: libsndfile's names, such as "FLAC" and "PCM_24".
     target: receives the encoded bytes; by default, they are written to the file.
     level: compression level, 0 to 1; default: that of libsndfile.
-    UsageError: the format does not support the rate or the channels, or the file cannot be created.
+    UsageError: the format does not support the channels, or the file cannot be created. For rates
+        that the format does not support, see `held_rate_hz`: libsndfile would crash.
     WriteError: the disk is full or has failed; no file remains.
     """
 
@@ -102,7 +103,8 @@ class SoundFileOutput:
             if self._target.failure:
                 raise self._target.failure from None
             raise UsageError(
-                f"{path}: {format} cannot hold {channels} channels at {samplerate} Hz ({error}); "
+                f"{path}: {format} cannot hold {channels} channels at {samplerate} Hz "
+                f"({getattr(error, 'error_string', error)}); "
                 "choose fewer channels, another --output-rate or the format wav"
             ) from None
 
@@ -135,14 +137,13 @@ class SoundFileOutput:
 
     def _encode(self, frames: int) -> None:
         assert self._file is not None
+        held = self._held[:frames]
+        if beyond := int(np.count_nonzero(np.abs(held) > 1.0)):
+            self.limited_samples += beyond
+            np.clip(held, -1.0, 1.0, out=held)
         for first in range(0, frames, BLOCK_FRAMES):
-            block = self._held[first : min(frames, first + BLOCK_FRAMES)]
-            beyond = np.abs(block) > 1.0
-            if beyond.any():
-                self.limited_samples += int(beyond.sum())
-                block = np.clip(block, -1.0, 1.0)
             try:
-                self._file.write(block)
+                self._file.write(held[first : first + BLOCK_FRAMES])
             except (soundfile.LibsndfileError, RuntimeError) as error:
                 self._target.failure = WriteError(f"cannot encode the sound file ({error})")
             self._raise_failure()
@@ -204,6 +205,11 @@ class ResampledOutput(WrappedOutput):
             skipped = min(due, max(0, self._to_skip - self._made))
             self._made += due
             self._output.write(frames[skipped:])
+
+
+def resampled(output: VibrationOutput, samplerate: int) -> VibrationOutput:
+    """Return an output that takes this sample rate in Hz: the given one, or a `ResampledOutput`."""
+    return output if output.samplerate == samplerate else ResampledOutput(output, samplerate)
 
 
 Watch = Callable[[FloatArray | Float32Array, int], None]

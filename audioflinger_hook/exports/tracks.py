@@ -35,6 +35,7 @@ RING_S, FAINT = 0.06, 0.003
 # the frequency in Hz. At lower amplitudes, a larger frequency error is allowed.
 LEVEL_TOLERANCE, HZ_TOLERANCE = 0.01, 0.3
 POINT_S, LONGEST_S = 0.002, 0.1  # smallest and largest time between two points
+TRACK_RATE_HZ = 1_000.0  # rate at which a track is sampled to choose its points
 
 
 @dataclass(frozen=True)
@@ -118,6 +119,9 @@ class TrackReader:
         low_rate_hz = design.samplerate / design.grid.decimation
         ring = np.zeros(round(RING_S * low_rate_hz), np.complex128)
         signal, _ = low_pass(design, np.concatenate((glides.ravel(), ring)), at_rest(design))
+        known_hz = np.concatenate((glide_hz.ravel(), np.full(ring.size, glide_hz[-1, -1])))
+        step = max(1, round(low_rate_hz / TRACK_RATE_HZ))
+        signal, known_hz, rate_hz = signal[::step], known_hz[::step], low_rate_hz / step
         amplitude = self._gain * np.abs(signal)
         loudest = float(amplitude.max())
         audible = np.flatnonzero(amplitude > FAINT * loudest)
@@ -125,17 +129,16 @@ class TrackReader:
             return
         part = slice(int(audible[0]), int(audible[-1]) + 1)
         turns = np.unwrap(np.angle(signal[part])) / (2.0 * np.pi)
-        known_hz = np.concatenate((glide_hz.ravel(), np.full(ring.size, glide_hz[-1, -1])))[part]
         # While the low-pass starts and rings, the phase can change at any rate, so clip the rate.
-        hz = np.clip(np.gradient(turns) * low_rate_hz, 0.8 * known_hz, 1.25 * known_hz)
+        hz = np.clip(np.gradient(turns) * rate_hz, 0.8 * known_hz[part], 1.25 * known_hz[part])
         start_s = aligned_s(design, rows[0, FRAME])
-        times = start_s + np.arange(part.start, part.stop) / low_rate_hz
+        times = start_s + np.arange(part.start, part.stop) / rate_hz
         amplitude = amplitude[part]
         tolerance = np.column_stack(
             (np.full(hz.size, LEVEL_TOLERANCE * loudest),
              HZ_TOLERANCE * np.sqrt(loudest / amplitude))
         )  # fmt: skip
-        spacing, longest = max(1, round(POINT_S * low_rate_hz)), round(LONGEST_S * low_rate_hz)
+        spacing, longest = max(1, round(POINT_S * rate_hz)), round(LONGEST_S * rate_hz)
         kept = simplify(times, np.column_stack((amplitude, hz)), tolerance, spacing, longest)
         onset = slot >= first_onset_slot(design)
         columns = (values[kept] for values in (times, hz, amplitude, turns))

@@ -13,7 +13,9 @@ from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports.export import ExportOptions, export
 from audioflinger_hook.exports.options import FORMATS
 from audioflinger_hook.sources import TapClient
+from device.errors import UsageError
 from tests.support.commands import RATE, call, document, listing, noise, refused, sound
+from tests.support.signals import tone
 
 
 @pytest.fixture
@@ -45,6 +47,8 @@ REFUSED = {
     "out.wav --format hapic": "format 'hapic' is not known; did you mean 'haptic'?",
     "out.wav --output-rate 999": "output_rate_hz=999 is out of range; allowed: 1000",
     "out.ahap --output-rate 1000": "holds no waveform; leave it out",
+    "out.flac --output-rate 65537": "allowed: 1000 to 655350 Hz, above 65535 Hz in steps of 10 Hz",
+    "out.flac --output-rate 655360": "is out of range; allowed: 1000 to 655350",
     "out.ogg --output-rate 8000": "holds the sound at its own rate; leave it out",
     "out.wav --device-band 55:200": "does not fit the format wav",
     "out.ahap --device-band 19:200": "is out of range; allowed: LOW:HIGH from 20",
@@ -84,6 +88,29 @@ def test_64_channels_are_mixed_or_refused(name: str, tmp_path: Path, folder: Pat
     assert (done.code == 0) == (name != "ogg-haptic") == bool(listing(folder))
 
 
+HELD = [  # format, rate of the sound, rate of the file
+    ("flac", 65_535, 65_535), ("flac", 65_537, 192_000), ("flac", 65_540, 65_540),
+    ("flac", 655_350, 655_350), ("flac", 655_360, 192_000), ("flac", 768_000, 192_000),
+    ("ogg-haptic", 1_000, 1_000), ("ogg-haptic", 200_000, 200_000),
+    ("ogg-haptic", 200_001, 192_000), ("ogg-haptic", 768_000, 192_000), ("wav", 768_000, 768_000),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "rate_hz", "file_hz"), HELD)
+def test_a_rate_that_a_format_cannot_have_is_resampled(name, rate_hz, file_hz, tmp_path, folder):
+    wave = 0.3 * tone(90.0, 0.5, rate_hz)[:, None]
+    source = sound(tmp_path / "in.wav", wave, rate_hz)
+    done = call("export", source, folder / "out", "--format", name, "--json")
+    report = json.loads(done.stdout)
+    assert ("cannot have" in done.stderr) == (rate_hz != file_hz)
+    frames, found_hz = soundfile.read(folder / "out", always_2d=True)
+    assert (found_hz, len(frames)) == (file_hz, report["frames"])
+    assert len(frames) == -(-len(wave) * file_hz // rate_hz)
+    if name == "ogg-haptic":
+        error = frames[:, 0] - 0.3 * tone(90.0, len(frames) / file_hz, file_hz)
+        assert np.std(error) < 0.02  # Vorbis is lossy
+
+
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_full_disk_is_a_write_error_and_leaves_everything_as_it_was(name, tmp_path, small_disk):
     rng = np.random.default_rng(5)
@@ -105,24 +132,28 @@ class LongTap:
     channels = 1
 
     def __init__(self, second: Any, seconds: int) -> None:
-        self._second, self._left = second, seconds
+        self._second, self.left = second, seconds
         self.samplerate = len(second)
-        self.frames_expected = seconds * len(second)
+        self.frames_expected: int | None = seconds * len(second)
 
     def read(self) -> Any:
-        self._left -= 1
-        return self._second if self._left >= 0 else None
+        self.left -= 1
+        return self._second if self.left >= 0 else None
 
     def close(self) -> None:
         pass
 
 
 @pytest.mark.parametrize("name", [name for name, one in FORMATS.items() if one.whole])
-def test_a_sound_of_30_hours_is_refused_before_it_is_played(name: str, folder: Path) -> None:
-    client = TapClient(LongTap(noise(8_000).astype(np.float32), 30 * 3_600))
-    with pytest.raises(Exception, match=r"longer than the format .* allowed: 3 hours"):
-        export(client, folder / "out", Settings(), ExportOptions(name))
+@pytest.mark.parametrize("length_known", [True, False])
+def test_two_hours_are_refused_at_the_start(name: str, length_known: bool, folder: Path) -> None:
+    tap = LongTap(np.zeros(1_000, np.float32), 7_200)
+    if not length_known:
+        tap.frames_expected = None
+    with pytest.raises(UsageError, match=r"too long for the format .* allowed: 3600 s; .* ogg"):
+        export(TapClient(tap), folder / "out", Settings(), ExportOptions(name))
     assert listing(folder) == {}
+    assert tap.left == 7_200 if length_known else 3_500 < tap.left < 3_600
 
 
 @pytest.mark.exhaustive

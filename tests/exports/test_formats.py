@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.exports import ahap, haptic_clip, vibration_xml
 from audioflinger_hook.exports.glides import Onset, VibrationCurve
+from audioflinger_hook.exports.hjif import effects_of
 from audioflinger_hook.exports.options import FORMATS
+from audioflinger_hook.exports.tracks import PartialTrack
 from device.errors import UsageError
 from tests.support.exports import RATE_HZ, check, exported, read_wave, scene
 
@@ -78,6 +80,15 @@ def test_a_device_band_moves_all_frequencies_into_it(name: str, tmp_path: Path) 
         whole_hz = re.findall(rb'"frequency_modulation":(\d+)', content)
         assert whole_hz
         assert all(80 <= int(hz) <= 230 for hz in whole_hz)
+
+
+@pytest.mark.parametrize("turns", [0.0, 0.2499999, 0.7499999, 0.75])
+def test_phases_of_hjif_stay_under_a_whole_turn(turns: float) -> None:
+    times, ones = np.linspace(0.0, 3.0, 31), np.ones(31)
+    track = PartialTrack(0, False, times, 100 * ones, ones, turns + 100 * times)
+    effects = effects_of(track)
+    assert all(0.0 <= one["phase"] <= 6.28318 for one in effects)
+    assert effects[-1]["position"] + effects[-1]["keyframes"][-1]["relative_position"] == 3_000
 
 
 @pytest.mark.parametrize("channels", ["mono", "each"])
