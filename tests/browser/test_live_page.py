@@ -396,7 +396,7 @@ def test_a_browser_without_websockets_is_told(room):
     context = room.chromium.new_context()
     context.add_init_script("delete window.WebSocket")
     page = context.new_page()
-    page.goto(room.monitor.address)
+    page.goto(room.monitor.new_address())
     says(page, "#state-text", "no websockets")
     context.close()
 
