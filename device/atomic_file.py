@@ -9,8 +9,6 @@ import contextlib
 import errno
 import os
 import stat
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 from device.errors import CushionError, UsageError, WriteError
@@ -136,22 +134,15 @@ class AtomicFile(contextlib.AbstractContextManager["AtomicFile"]):
         self._part = part
 
     def _keep_rights(self, model: Path) -> None:
-        try:
+        with contextlib.suppress(OSError):  # there is none, or it has no extended attributes
             found = model.stat()
-        except FileNotFoundError:
-            return
-        attempts: list[Callable[[], None]] = [
-            lambda: os.chown(self._file_fd, -1, found.st_gid),
-            lambda: os.chown(self._file_fd, found.st_uid, -1),  # only root may give a file away
-            lambda: os.fchmod(self._file_fd, found.st_mode & 0o777),
-        ]
-        with contextlib.suppress(OSError):  # the file system has no extended attributes
+            for uid, gid in ((-1, found.st_gid), (found.st_uid, -1)):
+                with contextlib.suppress(OSError):  # only root may give a file away
+                    os.chown(self._file_fd, uid, gid)
+            os.fchmod(self._file_fd, found.st_mode & 0o777)
             for name in os.listxattr(model):  # such as access control lists
-                value = os.getxattr(model, name)
-                attempts.append(partial(os.setxattr, self._file_fd, name, value))
-        for attempt in attempts:
-            with contextlib.suppress(OSError):
-                attempt()
+                with contextlib.suppress(OSError):
+                    os.setxattr(self._file_fd, name, os.getxattr(model, name))
 
     def _part_name(self) -> str:
         # The name may already have the maximum length of 255 bytes.
@@ -179,13 +170,10 @@ def write_bytes_atomically(
         file.write(content)
 
 
-def write_private(path: Path, content: bytes, model: Path | None = None) -> None:
-    """Write a file atomically; make its folder, if it is missing, for this user only.
-
-    model: a file whose rights the new file gets.
-    """
+def write_private(path: Path, content: bytes) -> None:
+    """Write a file atomically; make its folder, if it is missing, for this user only."""
     make_private_folder(path.parent)
-    write_bytes_atomically(path, content, model)
+    write_bytes_atomically(path, content)
 
 
 def remove_file(path: Path) -> None:

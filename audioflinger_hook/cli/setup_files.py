@@ -150,7 +150,8 @@ def _restore_config(record: Record) -> list[str]:
     if before is None:
         remove_file(path)
         return [*done, f"{path}: removed"]
-    write_private(path, before, Path(record.backup or path))
+    make_private_folder(path.parent)
+    write_bytes_atomically(path, before, Path(record.backup or path))
     return [*done, f"{path}: as it was before"]
 
 

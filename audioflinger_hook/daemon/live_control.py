@@ -35,7 +35,7 @@ from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.service.install import own_command
 from audioflinger_hook.service.one_line import one_line
-from audioflinger_hook.service.request_queue import RequestQueue, Waiting
+from audioflinger_hook.service.request_queue import RequestQueue
 from device.errors import CushionError, UsageError
 from device.units import db_to_amplitude
 from device.values import Described
@@ -94,11 +94,10 @@ class LiveControl:
             done.set()
 
         asked = {name: value for name, value in request.items() if name not in ENVELOPE}
-        waiting = Waiting(asked, answer)
-        if self._waiting.put(waiting):
+        if self._waiting.put(asked, answer):  # else the main thread has been woken
             self._ring()
         if not done.wait(ANSWER_S):
-            self._waiting.drop(waiting)
+            self._waiting.drop(answer)
             return {"error": f"the daemon has not answered within {ANSWER_S:g} s; try again"}
         return answers[0]
 
@@ -108,9 +107,10 @@ class LiveControl:
 
     def work(self, now_s: float) -> None:
         """Carry out a waiting request, if it is due. Detect the end of the test tone's process."""
-        if now_s >= self._due_s and (request := self._waiting.take()):
+        if now_s >= self._due_s and (waiting := self._waiting.take()):
+            asked, answer = waiting
             self._due_s = now_s + PAUSE_S
-            request.answer(self._carry_out(request.asked))
+            answer(self._carry_out(asked))
         if self._tone is not None and self._tone.poll() is not None:
             self._tone = None
             self._tell()
@@ -138,8 +138,8 @@ class LiveControl:
             "mute": self._mute,
             "tone": self._play_tone,
             "sync": self._sync,
-            "undo": self._undo,
-            "save": self._save,
+            "undo": lambda _: self._undo(),
+            "save": lambda _: self._edits.save(),
         }
         try:
             if len(asked) != 1 or not asked.keys() <= actions.keys():
@@ -147,6 +147,8 @@ class LiveControl:
             ((name, value),) = asked.items()
             if re.search("[\ud800-\udfff]", json.dumps(value, ensure_ascii=False)):
                 raise UsageError(f"{name} has text that is not Unicode")
+            if name in ("undo", "save") and value is not True:
+                raise UsageError(f"{name} takes true")
             actions[name](value)
         except _Refused as error:
             return {"error": str(error), "key": error.key}
@@ -202,14 +204,9 @@ class LiveControl:
         if muted != self._config.muted:
             self._apply(self._edits.values, muted)
 
-    def _undo(self, wanted: object) -> None:
-        _refuse_unless_true("undo", wanted)
+    def _undo(self) -> None:
         self._apply(self._edits.without_last(), self._config.muted)
         self._edits.undo()
-
-    def _save(self, wanted: object) -> None:
-        _refuse_unless_true("save", wanted)
-        self._edits.save()
 
     def _apply(self, edits: Mapping[str, Any], muted: bool) -> None:
         self._config = self._follow(edits, muted)
@@ -281,11 +278,6 @@ class _Refused(UsageError):
     def __init__(self, key: str, message: str) -> None:
         super().__init__(message)
         self.key = key
-
-
-def _refuse_unless_true(name: str, wanted: object) -> None:
-    if wanted is not True:
-        raise UsageError(f"{name} takes true")
 
 
 def _shown(name: str, key: Key, owner: Described) -> dict[str, Any]:

@@ -4,7 +4,6 @@ import asyncio
 import errno
 import json
 import logging
-import re
 import socket
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
@@ -27,7 +26,6 @@ from audioflinger_hook.monitor.figures import metrics_text
 from audioflinger_hook.monitor.frames import Frames
 from audioflinger_hook.service import autostart, install
 from audioflinger_hook.service.one_line import one_line
-from audioflinger_hook.service.request_queue import Waiting
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from device.errors import CushionError, InternalError, UsageError
 
@@ -37,7 +35,9 @@ OPEN_S = 5.0  # timeout for the arrival of a request, and of the key
 PING_S = 20.0
 WRITE_BYTES = 16_384  # limit of a connection's write buffers, in this process and in the system
 READ_BYTES = 16_384  # limit of a connection's read buffer in the system
+METHOD_BYTES_MAX = 32
 MESSAGES_PER_S, BURST_S = 5_000, 1.0  # of all browsers; limits the CPU load
+LAST_S = 3.0  # timeout for the requests of a browser that has left
 CONTROL_PAUSE_S = 0.02  # pause after each request that is forwarded to the daemon
 
 SCRIPTS = (
@@ -64,9 +64,6 @@ SECURITY = {
     "X-Frame-Options": "DENY",
 }
 
-_METHOD = re.compile(rb"([!#-'*+.^_`|~0-9A-Z-]{1,32}) ", re.I)
-_METHOD_BEGINS = re.compile(rb"[!#-'*+.^_`|~0-9A-Z-]{0,32}", re.I)
-
 
 class PageServer:
     """Serves the page until `run` is cancelled. Only the event loop's thread may use it.
@@ -88,9 +85,9 @@ class PageServer:
         self._clients = Clients()
         self.pending: dict[_Connection, None] = {}
         self._read_s = 0.0  # time at which the messages so far are read at MESSAGES_PER_S
-        folder = files("audioflinger_hook.monitor").joinpath("static")
+        static = files("audioflinger_hook.monitor").joinpath("static")
         self._files = {
-            path: (folder.joinpath(name).read_bytes(), kind) for path, (name, kind) in FILES.items()
+            path: (static.joinpath(name).read_bytes(), kind) for path, (name, kind) in FILES.items()
         }
 
     async def run(self, on_ready: Callable[[Listen], None]) -> None:
@@ -131,7 +128,7 @@ class PageServer:
 
     def _respond(self, connection: ServerConnection, request: Request) -> Response | None:
         response = self._answer(connection, request)
-        if isinstance(connection, _Connection) and connection.is_head:
+        if isinstance(connection, _Connection) and connection.method == b"HEAD":
             response = response or _not_allowed()  # a HEAD request opens no websocket
             response.body = b""
         return response
@@ -184,7 +181,8 @@ class PageServer:
             sending.cancel()
             with suppress(asyncio.CancelledError, ConnectionClosed):
                 await sending
-            await asking
+            await asyncio.wait({asking}, timeout=LAST_S)
+            asking.cancel()
             if client.tries:
                 await self._link.control({"sync": {"try_ms": None}})
 
@@ -205,14 +203,14 @@ class PageServer:
     async def _carry_out(self, client: Client) -> None:
         """Carry out the waiting requests of a browser."""
         while waiting := client.requests.take():
-            request = waiting.asked
+            request, answer_by = waiting
             if "autostart" in request:
                 answer = await asyncio.to_thread(self._start_at_login, request["autostart"])
             else:
                 answer = await self._link.control(request)
                 if isinstance(sync := request.get("sync"), dict):
                     client.tries = sync.get("try_ms") is not None
-            waiting.answer(answer)
+            answer_by(answer)
             await asyncio.sleep(CONTROL_PAUSE_S)
 
     def _start_at_login(self, on: object) -> dict[str, Any]:
@@ -234,16 +232,15 @@ class PageServer:
 
 
 class _Connection(ServerConnection):
-    """A connection with a small write buffer, which also takes HEAD and answers other methods.
+    """A connection with a small write buffer. Unlike the library, it knows methods beside GET.
 
-    The library takes only GET. is_head: whether the method is HEAD.
+    method: the request's method; b"" until it is known.
     """
 
     def __init__(self, server: PageServer, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self._pending = server.pending
-        self._begin: bytes | None = b""  # what has arrived, until the method is known
-        self.is_head = self._is_refused = False
+        self._begin = self.method = b""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         own = transport.get_extra_info("socket")
@@ -256,19 +253,18 @@ class _Connection(ServerConnection):
         self._pending[self] = None
 
     def data_received(self, data: bytes) -> None:
-        if self._begin is not None:
+        if not self.method:
             data = self._begin = self._begin + data
-            if _METHOD_BEGINS.fullmatch(data):
-                return
-            self._begin, method = None, _METHOD.match(data)
-            self.is_head = method is not None and method[1] == b"HEAD"
-            self._is_refused = method is not None and method[1] not in (b"GET", b"HEAD")
-            if self.is_head:
-                data = data.replace(b"HEAD", b"GET", 1)
-            elif self._is_refused:
+            method, space, rest = data.partition(b" ")
+            if not space and len(data) < METHOD_BYTES_MAX:
+                return  # the method may be incomplete
+            self.method = method
+            if method == b"HEAD":
+                data = b"GET " + rest
+            elif method != b"GET":
                 self.transport.write(_not_allowed().serialize())
                 self.transport.write_eof()
-        if not self._is_refused:
+        if self.method in (b"GET", b"HEAD"):
             super().data_received(data)
 
     def connection_lost(self, error: Exception | None) -> None:
@@ -293,7 +289,7 @@ def _take(client: Client, message: str | bytes) -> bool:
     number = asked.pop("id", None)
     if type(number) is int:
         client.requests.put(
-            Waiting(asked, lambda one: client.answer(json.dumps({"id": number, "answer": one})))
+            asked, lambda answer: client.answer(json.dumps({"id": number, "answer": answer}))
         )
     return type(number) is int
 

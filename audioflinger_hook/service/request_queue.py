@@ -2,70 +2,58 @@
 
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 WAITING_MAX = 16  # largest number of waiting requests
 
+Answer = Callable[[dict[str, Any]], object]
 
-@dataclass(eq=False)
-class Waiting:
-    """A waiting request. answer: called once, with the answer."""
 
-    asked: Mapping[str, Any]
-    answer: Callable[[dict[str, Any]], None]
-
-    @property
-    def setting(self) -> tuple[str, ...] | None:
-        """The setting that it gives a value; None: its effect depends on earlier requests."""
-        name, value = next(iter(self.asked.items()), ("", None))
-        if len(self.asked) == 1 and name in ("set", "sync") and isinstance(value, dict):
-            return name, *sorted(value)
-        return (name,) if len(self.asked) == 1 and name == "mute" else None
+def _setting(asked: Mapping[str, Any]) -> tuple[str, ...] | None:
+    """Return the setting that gets a value; None if the effect depends on earlier requests."""
+    ((name, value),) = asked.items() if len(asked) == 1 else (("", None),)
+    if name in ("set", "sync") and isinstance(value, dict):
+        return name, *sorted(value)
+    return (name,) if name == "mute" else None
 
 
 class RequestQueue:
-    """Requests in order of arrival. Any thread may use it."""
+    """Requests in order of arrival, each with a function that takes its answer.
+
+    Any thread may use it.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._waiting: list[Waiting] = []
+        self._waiting: list[tuple[Mapping[str, Any], Answer]] = []
 
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def put(self, request: Waiting) -> bool:
-        """Add a request; return whether none waited before.
+    def put(self, asked: Mapping[str, Any], answer: Answer) -> bool:
+        """Add a request; return whether no other waits.
 
         The request that it replaces is answered at once, as is itself if the queue is full.
         """
         with self._lock:
-            was_empty = not self._waiting
-            old = self._replaced_by(request)
-            if old is not None:
-                self._waiting.remove(old)
-            is_full = len(self._waiting) >= WAITING_MAX
-            if not is_full:
-                self._waiting.append(request)
-        if old is not None:
-            old.answer({"done": True})
-        if is_full:
-            request.answer({"error": "too many requests wait; try again"})
-        return was_empty
+            setting, earlier = _setting(asked), list(self._waiting)
+            while setting and earlier and _setting(earlier[-1][0]) not in (None, setting):
+                earlier.pop()
+            if setting and earlier and _setting(earlier[-1][0]):
+                self._waiting.remove(earlier[-1])
+                earlier[-1][1]({"done": True})
+            if len(self._waiting) < WAITING_MAX:
+                self._waiting.append((asked, answer))
+                return len(self._waiting) == 1
+        answer({"error": "too many requests wait; try again"})
+        return False
 
-    def take(self) -> Waiting | None:
+    def take(self) -> tuple[Mapping[str, Any], Answer] | None:
         """Remove and return the first request; None if there is none."""
         with self._lock:
             return self._waiting.pop(0) if self._waiting else None
 
-    def drop(self, request: Waiting) -> None:
-        """Remove a request, if it still waits."""
+    def drop(self, answer: Answer) -> None:
+        """Remove the request with this function, if it still waits."""
         with self._lock:
-            self._waiting = [one for one in self._waiting if one is not request]
-
-    def _replaced_by(self, request: Waiting) -> Waiting | None:
-        setting = request.setting
-        for one in reversed(self._waiting) if setting else ():
-            if one.setting in (None, setting):  # None: its effect depends on earlier values
-                return one if one.setting else None
-        return None
+            self._waiting = [one for one in self._waiting if one[1] is not answer]

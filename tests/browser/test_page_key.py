@@ -65,9 +65,11 @@ def test_the_key_stays_in_the_session_storage_of_the_tabs_that_may_have_it(tmp_p
         first.reload()
         state(first, "Running")
         first.click("summary")
-        with context.expect_page() as opened:
-            first.click("text=second tab")
-        state(opened.value, "Running")
+        for how in ({}, {"modifiers": ["Control"]}, {"button": "middle"}):
+            with context.expect_page() as opened:
+                first.click("#second", **how)
+            state(opened.value, "Running")
+            opened.value.close()
         stranger = context.new_page()
         for address in (served.base, served.address):  # the code was used
             stranger.goto(address)

@@ -16,7 +16,7 @@ from audioflinger_hook.config.edits import LiveEdits
 from audioflinger_hook.daemon import live_control
 from audioflinger_hook.daemon.live_control import PAUSE_S, LiveControl
 from audioflinger_hook.daemon.supervisor import Supervisor
-from audioflinger_hook.service.request_queue import WAITING_MAX, Waiting
+from audioflinger_hook.service.request_queue import WAITING_MAX
 from tests.service.test_watch import Client
 from tests.support.commands import start, until
 from tests.support.run_configs import config
@@ -24,6 +24,9 @@ from tests.support.run_configs import config
 CONFIG = """# mine
 gain_db = -3.0 # soft
 """
+
+
+JUNK: list[Any] = ["junk", 60, [], {"x": 1}, False, None]
 
 
 class Daemon:
@@ -140,8 +143,9 @@ def test_what_the_config_refuses_is_refused_in_its_words(daemon, changes, words)
     "request_",
     [
         *({}, {"set": {"gain_db": 0}, "undo": True}, {"mute": 1}, {"mute": True, "x": 1}),
-        *({name: value} for name in ("undo", "save") for value in (False, 1, "junk", None, {})),
-        *({"tone": value} for value in ("junk", True, False, 60, [], {"Hz": 60}, {"hz": "60"})),
+        *({"undo": value} for value in JUNK),
+        *({"save": value} for value in JUNK),
+        *({"tone": value} for value in [*JUNK[:-1], True, {"Hz": 60}, {"hz": "60"}]),
         {"application": {"match": "\ud800", "feel": True}},
         *({"application": "x", "felt": True}, {"application": {"match": "x"}}),
         {"application": {"match": 5, "feel": True}},
@@ -287,11 +291,16 @@ def test_only_a_tone_as_documented_is_played(control, monkeypatch, wanted):
 
 def test_a_flood_of_values_is_carried_out_at_a_limited_rate_and_the_last_wins(control, monkeypatch):
     done: list[object] = []
-    monkeypatch.setattr(control, "_carry_out", lambda asked: done.append(asked) or {"done": True})
+
+    def carry_out(asked: object) -> dict[str, Any]:
+        done.append(asked)
+        return {"done": True}
+
+    monkeypatch.setattr(control, "_carry_out", carry_out)
     answers: list[Any] = []
 
     def ask(**request: Any) -> None:
-        control._waiting.put(Waiting(request, answers.append))
+        control._waiting.put(request, answers.append)
 
     for number in range(50):
         ask(set={"gain_db": -number})
