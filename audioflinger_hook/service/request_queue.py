@@ -31,12 +31,12 @@ class RequestQueue:
         return len(self._waiting)
 
     def put(self, asked: Mapping[str, Any], answer: Answer) -> bool:
-        """Add a request; return whether no other waits.
+        """Add a request; return whether none waited before.
 
         The request that it replaces is answered at once, as is itself if the queue is full.
         """
         with self._lock:
-            setting, earlier = _setting(asked), list(self._waiting)
+            setting, earlier, was_empty = _setting(asked), list(self._waiting), not self._waiting
             while setting and earlier and _setting(earlier[-1][0]) not in (None, setting):
                 earlier.pop()
             if setting and earlier and _setting(earlier[-1][0]):
@@ -44,7 +44,7 @@ class RequestQueue:
                 earlier[-1][1]({"done": True})
             if len(self._waiting) < WAITING_MAX:
                 self._waiting.append((asked, answer))
-                return len(self._waiting) == 1
+                return was_empty
         answer({"error": "too many requests wait; try again"})
         return False
 
