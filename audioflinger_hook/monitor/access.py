@@ -9,7 +9,6 @@ is an empty file in the daemon's folder, named after the code's hash, so other p
 codes. Its time of modification is the time at which the code was made.
 """
 
-import hashlib
 import hmac
 import os
 import re
@@ -18,6 +17,8 @@ import socket
 import stat
 from contextlib import suppress
 from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
 
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from device.errors import UsageError, WriteError
@@ -102,29 +103,25 @@ def new_code(folder: RuntimeFolder, now_s: float) -> str:
     """
     code = "".join(secrets.choice(CODE_SIGNS) for _ in range(CODE_LENGTH))
     try:
-        for path in folder.path.glob(f"{CODE_NAME}*"):
-            _use(folder, path.name, now_s, only_expired=True)
-        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
-        fd = os.open(_file_of(code), flags, 0o600, dir_fd=folder.fd)
-        os.utime(fd, (now_s, now_s))
-        os.close(fd)
+        for known in folder.path.glob(f"{CODE_NAME}*"):
+            if not _is_valid(known, now_s):
+                known.unlink(missing_ok=True)
+        path = _file_of(folder, code)
+        path.touch(0o600, exist_ok=False)
+        os.utime(path, (now_s, now_s))
     except OSError as error:
         raise WriteError(f"cannot keep a code in {folder.path}: {error.strerror}") from error
     return code
 
 
-def _file_of(code: str) -> str:
-    return CODE_NAME + hashlib.sha256(code.lower().encode("utf-8", "replace")).hexdigest()
+def _file_of(folder: RuntimeFolder, code: str) -> Path:
+    return folder.path / (CODE_NAME + sha256(code.lower().encode("utf-8", "replace")).hexdigest())
 
 
-def _use(folder: RuntimeFolder, name: str, now_s: float, *, only_expired: bool = False) -> bool:
-    """Remove a code's file; return whether this call removed it, and the code was valid."""
+def _is_valid(path: Path, now_s: float) -> bool:
+    """Whether a code is young enough. A second is left for the rounding of file times."""
     with suppress(OSError):
-        made_s = os.stat(name, dir_fd=folder.fd, follow_symlinks=False).st_mtime
-        is_valid = -1.0 <= now_s - made_s <= CODE_S
-        if not (is_valid and only_expired):
-            os.unlink(name, dir_fd=folder.fd)  # of two processes, only one succeeds
-            return is_valid
+        return -1.0 <= now_s - path.stat().st_mtime <= CODE_S
     return False
 
 
@@ -157,14 +154,16 @@ class Access:
 
     def is_key(self, given: object) -> bool:
         """Whether `given` is the key, compared in constant time."""
-        return isinstance(given, str) and hmac.compare_digest(
-            given.encode("utf-8", "replace"), self.key.encode()
-        )
+        return hmac.compare_digest(str(given).encode("utf-8", "replace"), self.key.encode())
 
     def admits(self, key: object, code: object, now_s: float) -> bool:
         """Whether the key is right, or the code is valid, which ends that. now_s: time of day."""
-        uses_code = isinstance(code, str) and _use(self._folder, _file_of(code), now_s)
-        return self.is_key(key) or uses_code
+        is_admitted, path = self.is_key(key), _file_of(self._folder, str(code))
+        with suppress(OSError):
+            is_valid = _is_valid(path, now_s)
+            path.unlink()  # of two that use the code at once, only one succeeds
+            is_admitted |= is_valid
+        return is_admitted
 
     def has_bearer(self, headers: list[str]) -> bool:
         """Whether there is exactly one Authorization header, and this header has the key."""

@@ -36,6 +36,7 @@ PING_S = 20.0
 WRITE_BYTES = 16_384  # limit of a connection's write buffers, in this process and in the system
 READ_BYTES = 16_384  # limit of a connection's read buffer in the system
 METHOD_BYTES_MAX = 32
+NOT_ALLOWED = HTTPStatus.METHOD_NOT_ALLOWED, "the page takes GET and HEAD"
 MESSAGES_PER_S, BURST_S = 5_000, 1.0  # of all browsers; limits the CPU load
 LAST_S = 3.0  # timeout for the requests of a browser that has left
 CONTROL_PAUSE_S = 0.02  # pause after each request that is forwarded to the daemon
@@ -129,7 +130,7 @@ class PageServer:
     def _respond(self, connection: ServerConnection, request: Request) -> Response | None:
         response = self._answer(connection, request)
         if isinstance(connection, _Connection) and connection.method == b"HEAD":
-            response = response or _not_allowed()  # a HEAD request opens no websocket
+            response = response or _text(*NOT_ALLOWED)  # a HEAD request opens no websocket
             response.body = b""
         return response
 
@@ -204,7 +205,7 @@ class PageServer:
         """Carry out the waiting requests of a browser."""
         while waiting := client.requests.take():
             request, answer_by = waiting
-            if "autostart" in request:
+            if request.keys() == {"autostart"}:
                 answer = await asyncio.to_thread(self._start_at_login, request["autostart"])
             else:
                 answer = await self._link.control(request)
@@ -258,11 +259,11 @@ class _Connection(ServerConnection):
             method, space, rest = data.partition(b" ")
             if not space and len(data) < METHOD_BYTES_MAX:
                 return  # the method may be incomplete
-            self.method = method
+            self.method = method or b" "  # never empty again
             if method == b"HEAD":
                 data = b"GET " + rest
             elif method != b"GET":
-                self.transport.write(_not_allowed().serialize())
+                self.transport.write(_text(*NOT_ALLOWED).serialize())
                 self.transport.write_eof()
         if self.method in (b"GET", b"HEAD"):
             super().data_received(data)
@@ -321,13 +322,8 @@ def _bound(listen: Listen) -> socket.socket:
 
 def _response(status: HTTPStatus, body: bytes, kind: str) -> Response:
     own = {"Content-Type": kind, "Content-Length": str(len(body)), "Connection": "close"}
+    own["Allow"] = "GET, HEAD"
     return Response(status.value, status.phrase, Headers(SECURITY | own), body)
-
-
-def _not_allowed() -> Response:
-    response = _text(HTTPStatus.METHOD_NOT_ALLOWED, "the page takes GET and HEAD")
-    response.headers["Allow"] = "GET, HEAD"
-    return response
 
 
 def _text(status: HTTPStatus, reason: str) -> Response:

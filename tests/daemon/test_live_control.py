@@ -145,7 +145,6 @@ def test_what_the_config_refuses_is_refused_in_its_words(daemon, changes, words)
         *({}, {"set": {"gain_db": 0}, "undo": True}, {"mute": 1}, {"mute": True, "x": 1}),
         *({"undo": value} for value in JUNK),
         *({"save": value} for value in JUNK),
-        *({"tone": value} for value in [*JUNK[:-1], True, {"Hz": 60}, {"hz": "60"}]),
         {"application": {"match": "\ud800", "feel": True}},
         *({"application": "x", "felt": True}, {"application": {"match": "x"}}),
         {"application": {"match": 5, "feel": True}},

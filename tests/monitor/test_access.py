@@ -232,10 +232,15 @@ def test_head_is_answered_as_get_without_the_body_even_if_it_comes_in_pieces(ser
 @pytest.mark.parametrize(
     "request_bytes",
     [
-        *(b"\x00" * 64, b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03", b"GET\r\n\r\n"),
+        *(
+            b" GET / HTTP/1.1",
+            b"\x00" * 64,
+            b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03",
+            b"GET\r\n\r\n",
+        ),
         *(os.urandom(2000), b"GET / HTTP/1.1\r\nX: " + b"a" * 200_000),
     ],
-    ids=range(5),
+    ids=range(6),
 )
 def test_garbage_instead_of_a_request_and_headers_without_end_are_closed(served, request_bytes):
     assert served.raw(request_bytes + b"\r\n\r\n")[0] in (0, 400, 405, 431)
