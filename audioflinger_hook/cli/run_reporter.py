@@ -67,11 +67,10 @@ class RunReporter:
             self._print(text)
 
     def tell_page(self, address: str) -> None:
-        """Print a new page address, without its token (after `#`) unless stderr is a terminal."""
-        shown = address if sys.stderr.isatty() else address.partition("#")[0]
-        if shown and shown != self._page:
-            self._print(f"the live page: {shown}")
-        self._page = shown
+        """Print a new page address."""
+        if address and address != self._page:
+            self._print(f"the live page: {address}")
+        self._page = address
 
     def show_meter(self, status: Callable[[], Status], now_s: float) -> None:
         """Draw the level meter in the terminal's last line, at most once per METER_S."""

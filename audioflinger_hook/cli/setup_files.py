@@ -150,7 +150,8 @@ def _restore_config(record: Record) -> list[str]:
     if before is None:
         remove_file(path)
         return [*done, f"{path}: removed"]
-    write_private(path, before)
+    make_private_folder(path.parent)
+    write_bytes_atomically(path, before, Path(record.backup or path))
     return [*done, f"{path}: as it was before"]
 
 
@@ -160,7 +161,7 @@ def _copy(content: bytes, path: Path, word: str) -> Path:
         found = path.with_name(f"{path.name}.{word}{f'-{number}' if number > 1 else ''}")
         if not os.path.lexists(found):
             break
-    write_bytes_atomically(found, content)
+    write_bytes_atomically(found, content, path)
     return found
 
 

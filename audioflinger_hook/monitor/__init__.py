@@ -3,7 +3,7 @@
 | module | contents |
 | --- | --- |
 | `daemon_link` | connection to the daemon's socket, with reconnection |
-| `access` | access control by host, origin, token and cookie |
+| `access` | access control by host, origin, key and one-time code |
 | `frames` | messages with levels and frequencies, many times a second |
 | `clients` | queues of messages to the browsers |
 | `server` | server for HTTP and websockets |

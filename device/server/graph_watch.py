@@ -181,7 +181,8 @@ class Documents:
         block = os.read(self.file, READ_BYTES)
         self.ended = not block
         *whole, self._waiting = (self._waiting + block).split(b"\n]\n")
-        return [json.loads(_PARAMETERS.sub(_latency_in, text) + b"\n]") for text in whole]
+        texts = (_PARAMETERS.sub(_latency_in, text) + b"\n]" for text in whole)
+        return [json.loads(text.decode(errors="replace")) for text in texts]
 
 
 # Formats and volumes of nodes are most of the text. Only the latencies in it are used.

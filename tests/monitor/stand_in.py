@@ -5,7 +5,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -130,15 +130,23 @@ class Page(Monitor):
         text = answer.decode("latin-1")
         return (int(text.split()[1]) if text.startswith("HTTP/") else 0), text
 
-    def live(self, **headers: str) -> ClientConnection:
-        """An open live connection, as the page's own script opens it."""
-        return connect(
+    def live(self, **headers: str) -> AbstractContextManager[ClientConnection]:
+        """An open live connection with the key, as the page's own script opens it."""
+        return self.showing({"key": self.key}, **headers)
+
+    @contextmanager
+    def showing(self, shown: Any, **headers: str) -> Iterator[ClientConnection]:
+        """A live connection whose first message is this one; None: without a message."""
+        with connect(
             f"ws://{self.host}/live",
-            additional_headers={"Origin": f"http://{self.host}", "Cookie": self.cookie, **headers},
+            additional_headers={"Origin": f"http://{self.host}", **headers},
             compression=None,
             max_size=1 << 20,
             open_timeout=LIMIT_S,
-        )
+        ) as live:
+            if shown is not None:
+                live.send(json.dumps(shown))
+            yield live
 
 
 @contextmanager
