@@ -16,6 +16,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 import threading
 from base64 import b64decode
 from collections.abc import Iterator, Mapping, Sequence
