@@ -123,7 +123,7 @@ def test_the_demo_plays_the_same_without_a_compiler(environment: Path, tmp_path:
         (["test-tone", "--device", "haptic"], "pulsectl", "live"),
         (["setup", "--yes", "--device", "haptic"], "pulsectl", "live"),
         (["run", "--device", "haptic"], "pulsectl", "live"),
-        (["monitor"], "websockets", "page"),
+        (["monitor"], "prometheus_client", "page"),
     ],
 )
 def test_a_command_that_needs_an_extra_names_it_in_one_line(
