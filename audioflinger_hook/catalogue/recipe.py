@@ -25,6 +25,7 @@ class Recipe:
     out: path or URL of the folder of the results.
     track, language: sound track of films, for items without a value of their own.
     verify: whether sounds are identified by SHA-256, not by path, size and time.
+    retry_died: whether to try again items that have ended their workers.
     version: `VERSION` of the program that started the run.
     """
 
@@ -34,6 +35,7 @@ class Recipe:
     track: int | None = None
     language: str | None = None
     verify: bool = False
+    retry_died: bool = False
     version: str = VERSION
     _digests: dict[Settings, str] = field(default_factory=dict, init=False, compare=False)
 

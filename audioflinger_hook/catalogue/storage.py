@@ -9,7 +9,6 @@ import hashlib
 import os
 import secrets
 import socket
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from audioflinger_hook.catalogue.addresses import filesystem_of, is_url, remote_
 from audioflinger_hook.catalogue.timing import StorageError, UnreadableError
 from device.atomic_file import AtomicFile
 from device.errors import UsageError, WriteError
+from device.temporary_folder import temporary_folder
 
 T = TypeVar("T")
 
@@ -70,14 +70,17 @@ class LocalStorage:
     def stamp(self, name: str) -> Stamp | None:
         """Return the `Stamp` of a file; None if there is no file."""
         with suppress(FileNotFoundError, NotADirectoryError):
-            return _local_stamp(self._root / name)
+            return _local_stamp(f"{self._root}/{name}")
         return None
 
     def read(self, name: str) -> bytes | None:
         """Return the content of a small file; None if there is no file."""
-        with suppress(FileNotFoundError, NotADirectoryError):
-            return (self._root / name).read_bytes()
-        return None
+        try:
+            file = os.open(f"{self._root}/{name}", os.O_RDONLY | os.O_CLOEXEC)
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        with os.fdopen(file, "rb", 0) as opened:
+            return opened.read()
 
     def write(self, name: str, content: bytes) -> None:
         """Write a small file. A power failure may leave part of the file, which readers detect."""
@@ -156,8 +159,8 @@ class _RemoteStorage:
         return None
 
     def write(self, name: str, content: bytes) -> None:
-        with tempfile.TemporaryDirectory(prefix="cushion-") as folder:
-            path = Path(folder) / "upload"
+        with temporary_folder() as folder:
+            path = folder / "upload"
             path.write_bytes(content)
             self._upload(path, name)
 
@@ -166,8 +169,8 @@ class _RemoteStorage:
             self._files.rm_file(self._path(name))
 
     def put(self, name: str, make: Callable[[Path], T]) -> tuple[T, Stamp, str]:
-        with tempfile.TemporaryDirectory(prefix="cushion-") as folder:
-            path = Path(folder) / f"result{PurePosixPath(name).suffix}"
+        with temporary_folder() as folder:
+            path = folder / f"result{PurePosixPath(name).suffix}"
             result = make(path)
             size, sha256 = path.stat().st_size, digest(path)
             self.delete(name + RECORD)
@@ -222,7 +225,7 @@ def identity_of(audio: str) -> Stamp | None:
         with remote_errors(scrubbed(audio), UnreadableError):
             return _remote_stamp(filesystem.info(inside))
     try:
-        found = Path(audio).stat()
+        found = os.stat(audio)  # noqa: PTH116
     except (OSError, ValueError):
         return None
     return Stamp(found.st_size, str(found.st_mtime_ns))
@@ -235,8 +238,8 @@ def local_copy(audio: str) -> Iterator[Path]:
         yield Path(audio)
         return
     filesystem, inside = filesystem_of(audio)
-    with tempfile.TemporaryDirectory(prefix="cushion-") as folder:
-        path = Path(folder) / f"sound{PurePosixPath(inside).suffix}"
+    with temporary_folder() as folder:
+        path = folder / f"sound{PurePosixPath(inside).suffix}"
         with remote_errors(scrubbed(audio), UnreadableError):
             filesystem.get_file(inside, str(path))
         yield path
@@ -256,8 +259,8 @@ def sha256_of(path: Path) -> str:
         raise UsageError(f"{path} cannot be read ({error.strerror})") from error
 
 
-def _local_stamp(path: Path) -> Stamp:
-    found = path.stat()
+def _local_stamp(path: str | Path) -> Stamp:
+    found = os.stat(path)  # noqa: PTH116
     return Stamp(found.st_size, f"{found.st_mtime_ns}-{found.st_ino}")
 
 

@@ -13,7 +13,7 @@ from types import FrameType
 from typing import TextIO
 
 from audioflinger_hook.cli.parser import NEXT, build_parser
-from device.errors import CushionError, InternalError, WriteError
+from device.errors import CushionError, WriteError, unexpected
 from device.interruption import repeat_lost_interruptions
 
 EXIT_INTERRUPTED = 130
@@ -52,8 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _discard(sys.stdout)
             full = f"cannot write to standard output ({error.strerror})"
             return _report(WriteError(full), debug)
-        fault = f"{type(error).__name__}: {error}; this is a fault of cushion, please report it"
-        return _report(InternalError(fault), debug)
+        return _report(unexpected(error), debug)
 
 
 def _run(arguments: Sequence[str]) -> int:

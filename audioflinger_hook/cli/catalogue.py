@@ -81,7 +81,8 @@ def _job(options: argparse.Namespace, manifest: str) -> _Job:
         raise UsageError(f"--max-failures={options.max_failures} is below 0; allowed: 0 or more")
     out = parse_address(options.out, "--out")
     wanted = ExportOptions(options.format, options.output_rate, options.device_band)
-    sounds = {"track": options.track, "language": options.language, "verify": options.verify}
+    sounds = {"track": options.track, "language": options.language}
+    sounds |= {"verify": options.verify, "retry_died": options.retry_died}
     recipe = Recipe(out, chosen_settings(options), wanted, **sounds)
     timing = Timing(time.perf_counter, time.sleep, options.retries)
     return _Job(Manifest(manifest, out), recipe, timing, _shard(options.shard))

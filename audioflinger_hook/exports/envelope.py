@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 import scipy
+from numpy.typing import NDArray
 
 from audioflinger_hook.exports.glides import Onset, VibrationCurve
 from device.units import FloatArray, amplitude_to_db
@@ -74,7 +74,9 @@ def fitted(times: FloatArray, values: FloatArray, knots: FloatArray) -> FloatArr
     wanted += np.bincount(place + 1, share * values, size)
     # The curve's values at the knots have a small weight, so that knots without samples get values.
     bands = np.vstack((np.concatenate(([0.0], beside[:-1])), diagonal + TIED))
-    found: FloatArray = scipy.linalg.solveh_banded(bands, wanted + TIED * np.interp(knots, times, values))
+    found: FloatArray = scipy.linalg.solveh_banded(
+        bands, wanted + TIED * np.interp(knots, times, values)
+    )
     return found
 
 

@@ -7,8 +7,8 @@ numbers describes each glide, and a slot number says to which partial it belongs
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 import scipy
+from numpy.typing import NDArray
 
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.design.synthesis import glide_shape, glide_turns

@@ -368,7 +368,9 @@ def test_opening_and_closing_leaves_nothing_behind(server, connection):
 
     def cycle() -> None:
         apps = AppCaptures()
-        captures = [apps.open(player.index, RATE_HZ, 2, Collector()) for _ in range(6)]  # more overload a small machine
+        captures = [
+            apps.open(player.index, RATE_HZ, 2, Collector()) for _ in range(6)
+        ]  # more overload a small machine
         wait_for(lambda: all(item.callbacks for item in captures), "frames")
         assert all(capture.close() for capture in captures[::2])
         wait_for(lambda: held()[0] == 3, "the end of half of them")
