@@ -91,8 +91,7 @@ class Manifest:
             for item in self.items(mistakes):
                 count += 1
                 name = _hash(item.id)
-                can_grow = self._is_default and name not in self._shared
-                parts[name % PARTITIONS].write(_ENTRY.pack(name, item.line, can_grow))
+                parts[name % PARTITIONS].write(_ENTRY.pack(name, item.line, self._is_default))
             for part in parts:
                 self._find_duplicates(part, mistakes)
         if not count and not mistakes.count:
@@ -116,10 +115,10 @@ class Manifest:
         audio, named = values.get("audio"), "id" in values
         self._is_default = not named
         if not named:
-            given = str(audio), values.get("start_s"), self._root
-            values["id"] = default_id(*given)
+            source = str(audio), values.get("start_s"), self._root
+            values["id"] = default_id(*source)
             if self._shared and _hash(values["id"]) in self._shared:
-                values["id"], self._is_default = default_id(*given, whole=True), False
+                values["id"], self._is_default = default_id(*source, whole=True), False
         values["line"] = line
         if audio and isinstance(audio, str):
             # Relative paths start at the manifest's folder, which may be a URL.

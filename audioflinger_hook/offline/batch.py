@@ -6,6 +6,7 @@ import os
 import signal
 import tempfile
 import threading
+import warnings
 from collections.abc import Callable, Iterator, MutableSequence, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Future, ProcessPoolExecutor, wait
 from contextlib import ExitStack
@@ -89,19 +90,9 @@ class LocalWorkers(Place):
         # Workers already use all cores, so BLAS threads would compete for them.
         for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
             os.environ.setdefault(name, "1")
-        # The forkserver imports everything once and forks workers, which start quickly. Forks of
-        # this process would inherit the locks of its threads.
-        self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload([preload])
+        self._preload = preload
         delete_abandoned_folders()
-        _prepare_sockets()
-        # SIGHUP must end only this process, which then ends the forkserver and the workers.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGHUP,))
-        try:
-            forkserver.ensure_running()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        self.shares: MutableSequence[float] = self._context.RawArray("d", items)
+        self.shares: MutableSequence[float] = multiprocessing.RawArray("d", items)
         self._pool = self._new_pool()
 
     def slots(self) -> int:
@@ -138,9 +129,30 @@ class LocalWorkers(Place):
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def _new_pool(self) -> ProcessPoolExecutor:
-        pool = ProcessPoolExecutor(self._count, self._context, _begin_worker, (self.shares,))
+        # The forkserver imports everything once and forks workers, which start quickly. A fork of
+        # this process would inherit the locks of its threads, but costs less for one worker.
+        is_fork = self._count == 1 and threading.active_count() == 1
+        if not is_fork:
+            _start_server(self._preload)
+        context = multiprocessing.get_context("fork" if is_fork else "forkserver")
+        pool = ProcessPoolExecutor(self._count, context, _begin_worker, (self.shares,))
+        if is_fork:
+            with warnings.catch_warnings():  # the threads of OpenBLAS allow a fork
+                warnings.simplefilter("ignore", DeprecationWarning)
+                pool.submit(usable_cores).result()
         self._processes = pool._processes or {}
         return pool
+
+
+def _start_server(preload: str) -> None:
+    multiprocessing.get_context("forkserver").set_forkserver_preload([preload])
+    _prepare_sockets()
+    # SIGHUP must end only this process, which then ends the forkserver and the workers.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGHUP,))
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @cache
