@@ -123,15 +123,45 @@ def test_only_parts_of_dead_processes_that_this_one_can_see_are_removed(tmp_path
     assert sorted(path.name for path in out.iterdir()) == sorted(["a.wav", *kept])
 
 
-def test_an_item_that_ends_its_worker_fails_alone(tmp_path):
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_item_that_ends_its_worker_fails_alone_and_is_tried_again_on_request(tmp_path, workers):
     folder, out = library(tmp_path / "in", 8, 20_000), tmp_path / "out"
     env = ended_by("s03.wav", tmp_path)
-    done = cushion("catalogue", folder, "--out", out, "--workers", 2, "--json", env=env)
+    run = ("catalogue", folder, "--out", out, "--workers", workers, "--json")
+    done = cushion(*run, env=env)
     assert done.code == 5
     assert "its worker died 2 times" in done.stderr
     found = json.loads(done.stdout)
     assert (found["rendered"] + found["skipped"], found["failed"]) == (7, 1)
     assert ([row["id"] for row in rows(out / "failed.jsonl")], len(results(out))) == (["s03"], 7)
+    done = call(*run)  # in which the file would end nothing
+    assert (done.code, "add --retry-died" in done.stderr) == (5, True)
+    status = call("catalogue", "status", folder, "--out", out, "--json")
+    assert json.loads(status.stdout)["unreadable"] == 1
+    assert call(*run, "--retry-died").code == 0
+
+
+def test_a_killed_run_leaves_no_folders_once_another_has_run(sounds, tmp_path):
+    (tmp_path / "t").mkdir()
+    run = ("catalogue", sounds, "--out", tmp_path / "out", "--workers", 2)
+    env = {"TMPDIR": str(tmp_path / "t")}
+    for _ in range(2):
+        with start(*run, env=env) as process:
+            until(lambda: list((tmp_path / "t").glob("*/pymp-*")), process)
+            process.kill()
+    assert cushion(*run, env=env).code == 0
+    assert not list((tmp_path / "t").iterdir())
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_killed_fork_server_is_no_fault_of_an_item(sounds, expected, tmp_path, number):
+    run = ("catalogue", sounds, "--out", tmp_path / "out", "--workers", 2)
+    with start(*run) as process:
+        until(lambda: workers_of(process), process)
+        workers_of(process)[0].parent().send_signal(number)
+        _, stderr = process.communicate(timeout=60)
+    assert (process.returncode, stderr) == (0, "")
+    assert results(tmp_path / "out") == expected
 
 
 class Cluster(contextlib.ExitStack):
