@@ -23,16 +23,19 @@ def temporary_folder(above: str | None = None) -> Iterator[Path]:
             if folder.exists():
                 break
             os.close(lock)
+    owner = os.getpid()
     try:
         yield folder
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        if os.getpid() == owner:  # not in a fork of this process
+            shutil.rmtree(folder, ignore_errors=True)
         os.close(lock)
 
 
 def delete_abandoned_folders() -> None:
-    """Delete the folders in TMPDIR that ended processes of this user have left."""
-    for folder in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
+    """Delete the folders in TMPDIR and /tmp that ended processes of this user have left."""
+    places = {Path(tempfile.gettempdir()), Path("/tmp")}
+    for folder in [one for place in places for one in place.glob(f"{PREFIX}*")]:
         with suppress(OSError):  # it is in use, or another process deletes it
             lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
             try:

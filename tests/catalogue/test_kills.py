@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -142,15 +143,14 @@ def test_an_item_that_ends_its_worker_fails_alone_and_is_tried_again_on_request(
 
 
 def test_a_killed_run_leaves_no_folders_once_another_has_run(sounds, tmp_path):
-    (tmp_path / "t").mkdir()
     run = ("catalogue", sounds, "--out", tmp_path / "out", "--workers", 2)
-    env = {"TMPDIR": str(tmp_path / "t")}
-    for _ in range(2):
-        with start(*run, env=env) as process:
-            until(lambda: list((tmp_path / "t").glob("*/pymp-*")), process)
-            process.kill()
-    assert cushion(*run, env=env).code == 0
-    assert not list((tmp_path / "t").iterdir())
+    with tempfile.TemporaryDirectory(dir="/tmp") as name:  # short enough for a socket
+        for _ in range(2):
+            with start(*run, env={"TMPDIR": name}) as process:
+                until(lambda: list(Path(name).glob("*/pymp-*")), process)
+                process.kill()
+        assert cushion(*run, env={"TMPDIR": name}).code == 0
+        assert not list(Path(name).iterdir())
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
