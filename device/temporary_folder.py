@@ -8,11 +8,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-PREFIX = "cushion-run-"
+PREFIX = ".cushion-run-"
 
 
 @contextmanager
-def temporary_folder(above: str | None = None) -> Iterator[Path]:
+def temporary_folder(above: str | Path | None = None) -> Iterator[Path]:
     """Yield a new folder, and delete it at the end. above: its parent folder; default: TMPDIR."""
     while True:
         folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=above))
@@ -32,9 +32,9 @@ def temporary_folder(above: str | None = None) -> Iterator[Path]:
         os.close(lock)
 
 
-def delete_abandoned_folders() -> None:
-    """Delete the folders in TMPDIR and /tmp that ended processes of this user have left."""
-    places = {Path(tempfile.gettempdir()), Path("/tmp")}
+def delete_abandoned_folders(above: Path | None = None) -> None:
+    """Delete the folders in `above`, or TMPDIR and /tmp, that ended processes have left."""
+    places = [above] if above else {Path(tempfile.gettempdir()), Path("/tmp")}
     for folder in [one for place in places for one in place.glob(f"{PREFIX}*")]:
         with suppress(OSError):  # it is in use, or another process deletes it
             lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)

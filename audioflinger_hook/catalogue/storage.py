@@ -8,11 +8,9 @@ deleted. The new record is written last, so a record never describes another res
 import hashlib
 import os
 import secrets
-import socket
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
@@ -20,15 +18,11 @@ from audioflinger_hook.catalogue.addresses import filesystem_of, is_url, remote_
 from audioflinger_hook.catalogue.timing import StorageError, UnreadableError
 from device.atomic_file import AtomicFile
 from device.errors import UsageError, WriteError
-from device.temporary_folder import temporary_folder
+from device.temporary_folder import delete_abandoned_folders, temporary_folder
 
 T = TypeVar("T")
 
 RECORD = ".json"  # suffix of a record's name, after the name of its result
-
-# Prefix of the name of an unfinished result. Host, PID namespace, process and a random number
-# follow, because containers of one host may use the same process numbers.
-PART = ".part+"
 
 # In these storages, an upload appears only when complete. In all others, the upload is renamed.
 ATOMIC = frozenset({"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "memory"})
@@ -52,7 +46,7 @@ class LocalStorage:
 
     def __init__(self, root: Path) -> None:
         self._root = root
-        self._tidy: set[Path] = set()  # folders that `_tidy_up` has cleaned
+        self._tidy: set[Path] = set()  # folders without remains of ended processes
 
     def prepare(self) -> None:
         """Make the folder if it is missing. UsageError: it cannot be made, or is not writable."""
@@ -103,36 +97,24 @@ class LocalStorage:
             target.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise WriteError(f"cannot make the folder {target.parent}: {error.strerror}") from error
-        number = f"{os.getpid()}+{secrets.token_hex(6)}"
-        part = target.with_name(f"{_machine_start()}{number}{target.suffix}")
         try:
-            self._tidy_up(target.parent)
-            result = make(part)
-            stamp, sha256 = _local_stamp(part), digest(part)
-            self.delete(name + RECORD)
-            part.replace(target)
+            if target.parent not in self._tidy:
+                self._tidy.add(target.parent)
+                delete_abandoned_folders(target.parent)
+            with temporary_folder(target.parent) as folder:
+                part = folder / f"result{target.suffix}"
+                result = make(part)
+                stamp, sha256 = _local_stamp(part), digest(part)
+                self.delete(name + RECORD)
+                part.replace(target)
         except OSError as error:
             raise WriteError(f"cannot write {target}: {error.strerror or error}") from error
-        finally:
-            part.unlink(missing_ok=True)
         return result, stamp, sha256
 
     def restamped(self, name: str, sha256: str) -> str | None:
         """Return a file's present `Stamp.stamp` if its SHA-256 equals `sha256`, else None."""
         path = self._root / name
         return _local_stamp(path).stamp if digest(path) == sha256 else None
-
-    def _tidy_up(self, folder: Path) -> None:
-        """At the first call for a folder, delete unfinished results of processes that ended."""
-        if folder in self._tidy:
-            return
-        self._tidy.add(folder)
-        # On some file systems, `AtomicFile` adds a dot before the name of an unfinished file.
-        start = _machine_start()
-        for part in [*folder.glob(f"{start}*"), *folder.glob(f".{start}*")]:
-            process = part.name.split("+")[-2]
-            if process.isdigit() and not Path("/proc", process).exists():
-                part.unlink(missing_ok=True)
 
 
 class _RemoteStorage:
@@ -268,12 +250,3 @@ def _remote_stamp(info: dict[str, Any]) -> Stamp:
     found = [f"{name}={info[name]}" for name in ETAGS if info.get(name)]
     size = info.get("size")
     return Stamp(None if size is None else int(size), found[0] if found else "")
-
-
-@cache
-def _machine_start() -> str:
-    """Return the beginning of the names of unfinished results of this host and PID namespace."""
-    namespace = 0
-    with suppress(OSError):
-        namespace = Path("/proc/self/ns/pid").stat().st_ino
-    return f"{PART}{socket.gethostname()}+{namespace}+"

@@ -5,7 +5,6 @@ import json
 import os
 import random
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -15,7 +14,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from audioflinger_hook.catalogue.storage import PART, LocalStorage
+from audioflinger_hook.catalogue.storage import LocalStorage
+from device.temporary_folder import PREFIX, temporary_folder
 from tests.support.catalogues import expected as results_of
 from tests.support.catalogues import library, results, rows
 from tests.support.commands import (
@@ -55,7 +55,7 @@ def whole(out, expected):
     return all(
         expected[name] == content
         for name, content in results(out).items()
-        if not name.startswith(PART)
+        if not name.startswith(PREFIX)
     )
 
 
@@ -106,22 +106,11 @@ def test_a_run_that_is_killed_or_interrupted_loses_nothing_and_the_next_goes_on(
     assert kept.items() <= finished(out).items()
 
 
-def test_only_parts_of_dead_processes_that_this_one_can_see_are_removed(tmp_path):
-    out = tmp_path / "out"
-    out.mkdir()
-    host, numbering = socket.gethostname(), Path("/proc/self/ns/pid").stat().st_ino
-    with subprocess.Popen(["true"]) as ended:
-        pass
-    dead = f"{PART}{host}+{numbering}+{ended.pid}+0123.wav"
-    kept = [
-        f"{PART}{host}+{numbering}+{os.getpid()}+0123.wav",
-        f"{PART}{host}+{numbering + 1}+{ended.pid}+0123.wav",  # of another container
-        f"{PART}other+{numbering}+{ended.pid}+0123.wav",
-    ]
-    for name in (dead, f".{dead}.4567.part", *kept):
-        (out / name).touch()
-    LocalStorage(out).put("a.wav", lambda path: path.write_bytes(b"a"))
-    assert sorted(path.name for path in out.iterdir()) == sorted(["a.wav", *kept])
+def test_only_folders_that_no_process_holds_are_removed(tmp_path):
+    (tmp_path / f"{PREFIX}dead").mkdir()
+    with temporary_folder(tmp_path) as held:
+        LocalStorage(tmp_path).put("a.wav", lambda path: path.write_bytes(b"a"))
+        assert {path.name for path in tmp_path.iterdir()} == {"a.wav", held.name}
 
 
 @pytest.mark.parametrize("workers", [1, 2])
