@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from functools import lru_cache
-from pathlib import PurePosixPath
+from hashlib import blake2b
 from typing import Annotated, Any
 from urllib.parse import urlsplit
 
@@ -18,6 +18,7 @@ from device.values import Choice, Described, Number, Refusal, Text
 LONGEST_S = 1e7
 RESERVED = re.compile(r"catalogue|failed(-\d+-of-\d+)?")  # names of files that a run writes itself
 NAME_BYTES_MAX = 200
+USABLE_BYTES = 160  # of a part of a path in a default id; a hash and the start may follow
 
 ALIASES = {  # maps column names of NeMo and lhotse to the names used here
     "audio_filepath": "audio",  # NeMo
@@ -116,15 +117,32 @@ class Item(Described):
 COLUMNS = tuple(field.name for field in fields(Item) if field.name != "line")
 
 
-def default_id(audio: str, start_s: object, root: str = "") -> str:
-    """Return the sound's path without `root` and suffix; the start, if above 0, is appended."""
+def default_id(audio: str, start_s: object, root: str = "", *, whole: bool = False) -> str:
+    """Return the sound's path without `root` and suffix; the start, if above 0, is appended.
+
+    Parts that cannot be names of results are replaced. whole: keep the suffix.
+    """
     path = audio.removeprefix(root) if root else audio
     path = urlsplit(path).path if is_url(path) else path
-    parts = [part for part in PurePosixPath(path).parts if part not in ("/", ".", "..")]
-    name = str(PurePosixPath(*parts).with_suffix("")) if parts else ""
+    *folders, last = [part for part in path.split("/") if part not in ("", ".", "..")] or [""]
+    stem, _, suffix = last.rpartition(".")
+    if stem and suffix and not whole:
+        last = stem
+    name = "/".join(map(_usable, (*folders, last)))
+    if RESERVED.fullmatch(name):
+        return default_id(audio, start_s, root, whole=True)
     if isinstance(start_s, (int, float)) and start_s > 0.0:
         name += f"-{start_s:.6f}".rstrip("0").rstrip(".") + "s"
     return name
+
+
+def _usable(part: str) -> str:
+    """Return a part of a path; if it cannot be printed or is too long, with a hash of it."""
+    content = os.fsencode(part)
+    if part.isprintable() and len(content) <= USABLE_BYTES:
+        return part
+    start = "".join(one if one.isprintable() else "_" for one in part).encode()[:USABLE_BYTES]
+    return f"{start.decode(errors='ignore')}-{blake2b(content, digest_size=4).hexdigest()}"
 
 
 def shown(value: object) -> str:

@@ -4,6 +4,7 @@ import contextlib
 import errno
 import io
 import os
+import resource
 import signal
 import sys
 import traceback
@@ -13,10 +14,11 @@ from types import FrameType
 from typing import TextIO
 
 from audioflinger_hook.cli.parser import NEXT, build_parser
-from device.errors import CushionError, InternalError, WriteError
+from device.errors import CushionError, UsageError, WriteError, unexpected
 from device.interruption import repeat_lost_interruptions
 
 EXIT_INTERRUPTED = 130
+NEEDED_MB = 160  # address space of a process that has loaded NumPy
 
 STDOUT_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # `errno` of a failed `print`
 
@@ -32,6 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         signal.signal(signal.SIGHUP, _interrupt)
     _prepare_streams()
     try:
+        _check_memory()
         code = _run(arguments)
         sys.stdout.flush()
         return code
@@ -56,8 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _discard(sys.stdout)
             full = f"cannot write to standard output ({error.strerror})"
             return _report(WriteError(full), debug)
-        fault = f"{type(error).__name__}: {error}; this is a fault of cushion, please report it"
-        return _report(InternalError(fault), debug)
+        return _report(unexpected(error), debug)
 
 
 def _run(arguments: Sequence[str]) -> int:
@@ -73,6 +75,17 @@ def _run(arguments: Sequence[str]) -> int:
     # Import only the module of this command, because some imports are slow.
     module = import_module(f"audioflinger_hook.cli.{options.command.replace('-', '_')}")
     return int(module.run(options))
+
+
+def _check_memory() -> None:
+    """Raise UsageError if NumPy cannot be loaded, since OpenBLAS would end the process."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit == resource.RLIM_INFINITY:
+        return
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # each thread takes memory
+    if limit < NEEDED_MB << 20:
+        few = f"this process may use {limit >> 20} MB of memory (ulimit -v)"
+        raise UsageError(f"{few}; allowed: at least {NEEDED_MB} MB; raise the limit")
 
 
 def _prepare_streams() -> None:

@@ -81,7 +81,8 @@ def _job(options: argparse.Namespace, manifest: str) -> _Job:
         raise UsageError(f"--max-failures={options.max_failures} is below 0; allowed: 0 or more")
     out = parse_address(options.out, "--out")
     wanted = ExportOptions(options.format, options.output_rate, options.device_band)
-    sounds = {"track": options.track, "language": options.language, "verify": options.verify}
+    sounds = {"track": options.track, "language": options.language}
+    sounds |= {"verify": options.verify, "retry_died": options.retry_died}
     recipe = Recipe(out, chosen_settings(options), wanted, **sounds)
     timing = Timing(time.perf_counter, time.sleep, options.retries)
     return _Job(Manifest(manifest, out), recipe, timing, _shard(options.shard))
@@ -109,22 +110,22 @@ def _work(job: _Job, total: int, options: argparse.Namespace) -> int:
     summary = Summary()
     stopped = ""
     with ExitStack() as stack:
+        place = stack.enter_context(_place(options, total))
         failures = stack.enter_context(Failures())
         page = stack.enter_context(Page()) if options.report else None
         progress = stack.enter_context(progress_bar(counted(total, "items")))
         console = _Console(total, progress)
         try:
-            with _place(options, total) as place:
-                for batch in Run(job.recipe, job.items(), place, job.timing).outcomes():
-                    for outcome in batch:
-                        summary.add(outcome)
-                        if page:
-                            page.add(outcome)
-                        if outcome.state == "failed":
-                            failures.add(outcome)
-                    console.show(batch, summary)
-                    if stopped := _reason_to_stop(batch, summary, options.max_failures):
-                        break
+            for batch in Run(job.recipe, job.items(), place, job.timing).outcomes():
+                for outcome in batch:
+                    summary.add(outcome)
+                    if page:
+                        page.add(outcome)
+                    if outcome.state == "failed":
+                        failures.add(outcome)
+                console.show(batch, summary)
+                if stopped := _reason_to_stop(batch, summary, options.max_failures):
+                    break
         except BaseException:
             if not on_failures:
                 with suppress(CushionError):
@@ -144,8 +145,7 @@ def _place(options: argparse.Namespace, total: int) -> Place:
     workers = chosen_workers(options.workers)
     if options.dask:
         return DaskCluster(options.dask, workers)
-    workers = min(workers, total)
-    return LocalWorkers(workers, do_batch.__module__) if workers > 1 else Place()
+    return LocalWorkers(min(workers, max(1, total)), do_batch.__module__)
 
 
 def _reason_to_stop(batch: list[Outcome], summary: Summary, most: int | None) -> str:

@@ -110,6 +110,7 @@ def _catalogue(command: Parser) -> None:
     stop = "stop after more than N failures; default: never"
     command.add_value("--max-failures", count, "N", stop)
     command.add_value("--retries", count, "N", "retries of failed I/O", 3)
+    command.add_switch("--retry-died", "try items again that ended their workers in an earlier run")
     command.add_switch("--verify", "identify sounds by SHA-256, not by path, size and time")
     command.add_value("--track", count, "N", "sound track of films; default: the film's")
     command.add_value("--language", str, "CODE", "language of the films' sound track, such as eng")

@@ -1,7 +1,8 @@
 """Reads the config file (TOML), and finds all mistakes in it at once, with line numbers."""
 
 import os
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,14 @@ from audioflinger_hook.config.schema import (
     keys_of,
 )
 from audioflinger_hook.config.settings import LiveSettings, Settings
-from audioflinger_hook.config.toml_text import Mistake, lines_of_keys, parse, printable, text_of
+from audioflinger_hook.config.toml_text import (
+    LISTED_MAX,
+    Mistake,
+    lines_of_keys,
+    parse,
+    printable,
+    text_of,
+)
 from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings, wiring_refusals
 from device.errors import UsageError
@@ -136,7 +144,10 @@ class _Reading:
             if not isinstance(value, dict):
                 self.shown[shown] = _shown(value)
             if name not in known:
-                self._add(shown, _unknown(section, name, is_section=isinstance(value, dict)))
+                # Similar names take long to find, and only the first mistakes are shown.
+                is_shown = len(self.mistakes) < LISTED_MAX
+                told = name if is_shown else ""
+                self._add(shown, _unknown(section, told, is_section=isinstance(value, dict)))
                 continue
             key = known[name]
             resolved = key.description.resolved(value, self.folder)
@@ -203,9 +214,11 @@ class _Reading:
 
     def _add(self, key: str, refusal: Refusal) -> None:
         where = printable(key), self._line(key), self.shown.get(key, "")
-        self.mistakes.append(Mistake(*where, *astuple(refusal)))
+        why = refusal.wrong, refusal.allowed, refusal.nearest
+        self.mistakes.append(Mistake(*where, *why))
 
 
+@lru_cache(maxsize=128)
 def _unknown(section: str, name: str, is_section: bool) -> Refusal:
     """Return a message about an unknown key or section, with the most similar known name."""
     if name in REPLACED.get(section, {}):

@@ -1,8 +1,10 @@
 """The text of a config file: parsing, syntax errors, and the line numbers of keys."""
 
+import json
 import re
 import tomllib
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ from device.errors import UsageError
 from device.values import Refusal
 
 SYNTAX_ERRORS_MAX, CONFIG_BYTES_MAX, SHOWN_MAX = 50, 1 << 20, 200
+LISTED_MAX, LISTED_BYTES = 50, 18_000  # of mistakes; the others are counted
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,15 @@ class Mistake:
         where = f"line {self.line}: " if self.line else ""
         value = f" = {self.value}" if self.value else ""
         return f"{where}{self.key}{value} {Refusal(self.problem, self.allowed, self.nearest)}"
+
+
+def listed(mistakes: list[Mistake]) -> list[Mistake]:
+    """Return the first mistakes, and one that counts the others."""
+    sizes = accumulate(len(json.dumps(asdict(one), indent=2)) for one in mistakes[:LISTED_MAX])
+    count = sum(size <= LISTED_BYTES for size in sizes)
+    left = len(mistakes) - count
+    more = [Mistake("this file", 0, "", f"has {left} more mistakes", "none")] if left else []
+    return mistakes[:count] + more
 
 
 def text_of(path: Path, *, or_empty: bool = False) -> str:

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import solveh_banded
 
 from audioflinger_hook.exports.glides import Onset, VibrationCurve
 from device.units import FloatArray, amplitude_to_db
@@ -73,7 +73,9 @@ def fitted(times: FloatArray, values: FloatArray, knots: FloatArray) -> FloatArr
     wanted += np.bincount(place + 1, share * values, size)
     # The curve's values at the knots have a small weight, so that knots without samples get values.
     bands = np.vstack((np.concatenate(([0.0], beside[:-1])), diagonal + TIED))
-    found: FloatArray = solveh_banded(bands, wanted + TIED * np.interp(knots, times, values))
+    found: FloatArray = scipy.linalg.solveh_banded(
+        bands, wanted + TIED * np.interp(knots, times, values)
+    )
     return found
 
 

@@ -7,8 +7,8 @@ numbers describes each glide, and a slot number says to which partial it belongs
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.signal import lfilter, sosfilt
 
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.design.synthesis import glide_shape, glide_turns
@@ -102,8 +102,8 @@ def low_pass(
     """Return the signal after the live form's low-pass and any high-passes, and their new state."""
     made = design.synthesis
     if made.low_sections.size:
-        return sosfilt(np.array(made.low_sections), signal, zi=state)  # type: ignore[no-any-return]
-    smooth, state = lfilter(made.low_b, made.low_a, signal, zi=state)
+        return scipy.signal.sosfilt(np.array(made.low_sections), signal, zi=state)  # type: ignore[no-any-return]
+    smooth, state = scipy.signal.lfilter(made.low_b, made.low_a, signal, zi=state)
     return smooth, state
 
 

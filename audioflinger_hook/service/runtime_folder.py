@@ -164,7 +164,13 @@ def folder_path(environ: Mapping[str, str]) -> Path:
         if base.is_absolute() and base.is_dir():
             return base / FOLDER_NAME
     if not text:
-        return Path(environ.get("TMPDIR") or "/tmp") / f"{FOLDER_NAME}-{user}"
+        above = Path(environ.get("TMPDIR") or "/tmp")
+        if above.is_dir():
+            return above / f"{FOLDER_NAME}-{user}"
+        raise UsageError(
+            f"{VARIABLE} is not set, and TMPDIR is '{above}', which is not a folder; set one of "
+            "them to a folder of your own, for the daemon's lock and status socket"
+        )
     raise UsageError(
         f"{VARIABLE} is {text!r}, not an absolute path of a folder; set it to a folder of your "
         f"own, usually /run/user/{user}, for the daemon's lock and status socket"

@@ -162,11 +162,62 @@ def test_mistakes_of_csv_are_told_with_their_lines(tmp_path):
 @pytest.mark.parametrize("in_memory_bytes", [1 << 16, 16])
 def test_two_items_of_one_name_are_a_mistake_even_on_disk(tmp_path, monkeypatch, in_memory_bytes):
     monkeypatch.setattr("audioflinger_hook.catalogue.manifest.SPOOLED_BYTES", in_memory_bytes)
-    lines = ({"audio": "a.wav"}, {"audio": "b.wav", "id": "a"}, {"audio": "c"}, {"audio": "a.flac"})
+    lines = [{"audio": f"{name}.wav", "id": name} for name in "aaca"]
     assert mistakes(manifest(tmp_path / "l.jsonl", *lines)) == [
         "l.jsonl:2: has the same id as line 1; give ids",
         "l.jsonl:4: has the same id as line 2; give ids",
     ]
+
+
+HARD_NAMES = [
+    *(b"caf\xe9.wav", b"two\nlines.wav", b"esc\x1b[2J.wav", b"l" * 250 + b".wav", b"sub\xff/z.wav"),
+    *(b"a.wav", b"a.flac", b"a.flac.wav", b"b.wav", b"b.WAV", b"catalogue.wav", b"failed.wav"),
+]
+
+
+def test_every_name_of_a_file_becomes_an_id_of_its_own(tmp_path, monkeypatch):
+    (tmp_path / "in").mkdir()
+    for name in HARD_NAMES:
+        path = os.path.join(os.fsencode(tmp_path), b"in", name)  # noqa: PTH118
+        os.makedirs(os.path.dirname(path), exist_ok=True)  # noqa: PTH103, PTH120
+        with open(path, "wb"):  # noqa: PTH123
+            pass
+    (tmp_path / "in/link.wav").symlink_to("link.wav")
+    found = {item.id for item in items(tmp_path / "in")}
+    assert len(found) == len(HARD_NAMES) + 1
+    assert {
+        "a.wav",
+        "a.flac",
+        "a.flac.wav",
+        "b.wav",
+        "b.WAV",
+        "catalogue.wav",
+        "failed.wav",
+    } < found
+    assert all(name.isprintable() and len(name.encode()) < 200 for name in found)
+    lines = [{"audio": "a.wav"}, {"audio": "a.flac"}, {"audio": "b.wav", "id": "a"}]
+    listed = manifest(tmp_path / "l.jsonl", *lines)
+    assert [item.id for item in items(listed)] == ["a.wav", "a.flac", "a"]
+
+
+def test_a_folder_that_cannot_be_listed_fails_and_costs_no_other(tmp_path, monkeypatch):
+    folder, scandir = library(tmp_path / "in", 2), os.scandir
+    library(folder / "locked", 1)
+
+    def scanned(path):
+        if str(path).endswith("locked"):
+            raise PermissionError(13, "Permission denied")
+        return scandir(path)
+
+    monkeypatch.setattr("os.scandir", scanned)
+    for pattern in ("", "**/*.wav"):
+        found = [item.id for item in items(folder / pattern)]
+        assert found == ["locked", "s00", "s01"]
+    assert [item.id for item in items(folder / "s*.wav")] == ["s00", "s01"]
+    done = call("catalogue", folder, "--out", tmp_path / "out", "--workers", 1)
+    assert (done.code, done.stderr.count("\n")) == (2, 1)
+    assert "locked is a folder" in done.stderr
+    assert "2 rendered" in done.stdout
 
 
 def test_a_hundred_mistakes_are_listed_and_all_are_counted(tmp_path):

@@ -26,8 +26,8 @@ def test_exposure_is_that_of_the_exposure_meter(rig, tone_hz):
     vibration = np.column_stack([0.2 * vibration, vibration]).astype(np.float32)
     meter = RigDriver(rig_by_name(rig), RATE, 2)
     meter.process(vibration)
-    # The meter interpolates linearly at 6 kHz: 0.5 %. Its last 0.1 s may be missing.
-    expected = pytest.approx(meter.exposure().a8_m_s2, rel=0.02)
+    # At 200 Hz, the meter's filters at 6 kHz are 2.6 % low. Its last 0.1 s may be missing.
+    expected = pytest.approx(meter.exposure().a8_m_s2, rel=0.03)
     assert measured(vibration, rig=rig)["exposure_a8_m_s2"] == expected
 
 

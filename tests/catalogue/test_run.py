@@ -163,7 +163,7 @@ def test_every_format_has_the_bytes_of_an_export(tmp_path, name):
 def test_results_of_another_version_are_made_anew(sounds, expected, tmp_path, monkeypatch):
     out = tmp_path / "out"
     monkeypatch.setattr(recipes.Recipe, "version", "0.0", raising=False)
-    monkeypatch.setattr(recipes.Recipe.__init__, "__defaults__", (None, None, False, "0.0"))
+    monkeypatch.setattr(recipes.Recipe.__init__, "__defaults__", (None, None, False, False, "0.0"))
     monkeypatch.setattr(work, "VERSION", "0.0")
     assert run(sounds, out)[0]["rendered"] == 6
     monkeypatch.undo()

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -319,6 +320,25 @@ def test_a_fault_of_the_program_is_one_line_and_code_5(source, out, monkeypatch)
     assert (done.code, done.stdout, done.stderr.count("\n")) == (5, "", 1)
     assert done.stderr.startswith("cushion: error: ZeroDivisionError: in two lines; ")
     assert "fault of cushion" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (MemoryError("193 KiB"), 5, "no memory is left (MemoryError)"),
+        (ImportError("x.so: failed to map segment from shared object"), 5, "no memory is left"),
+        (FileNotFoundError(2, "No usable temporary directory found in"), 2, "TMPDIR is"),
+    ],
+)
+def test_lack_of_memory_or_of_a_folder_is_named(source, out, monkeypatch, error, code, words):
+    monkeypatch.setattr("audioflinger_hook.cli.render.render_file", Mock(side_effect=error))
+    assert words in refused(call("render", source, out), code)
+
+
+def test_a_memory_limit_under_what_numpy_needs_is_named(source, out):
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_AS, (100 << 20,) * 2)\n"
+    said = refused(cushion("render", source, out, prelude=limit))
+    assert "this process may use 100 MB of memory (ulimit -v); allowed: at least" in said
 
 
 def test_debug_shows_where_an_error_came_from(tmp_path, out):

@@ -2,6 +2,7 @@
 
 import json
 import re
+import time
 from importlib.resources import files
 
 import pytest
@@ -289,3 +290,28 @@ def test_what_is_not_said_of_an_actuator_is_the_default(config):
     first = ActuatorSettings((3,), "left", protection="on")
     assert settings.actuators == (first, ActuatorSettings((0,)))
     assert settings.sources == ("mix", "left")
+
+
+@pytest.mark.parametrize("section", ["", "[transform]\n"])
+def test_of_40_000_mistakes_the_first_are_listed_and_the_others_counted(config, section):
+    path = config(section + "".join(f"key_{n} = {n}\n" for n in range(40_000)))
+    begin_s = time.process_time()
+    done = call("check", "--config", path, "--json")
+    assert time.process_time() - begin_s <= 2.0
+    found = json.loads(done.stdout)
+    assert (done.code, done.stderr, len(found) <= 51) == (2, "", True)
+    assert found[-1]["problem"] == f"has {40_001 - len(found)} more mistakes"
+    told = call("check", "--config", path)
+    assert told.stderr.count("\n") == len(found)
+    assert len(done.stdout) <= 20_000 >= len(told.stderr)
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe", None])
+def test_a_file_that_cannot_be_read_is_a_mistake_in_one_document(tmp_path, content):
+    path = tmp_path / "config.toml"
+    if content:
+        path.write_bytes(content)
+    done = call("check", "--config", path, "--json")
+    (found,) = json.loads(done.stdout)
+    assert (done.code, done.stderr) == (2, "")
+    assert found["problem"].startswith(f"{path} ")

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, parameters_of
 from audioflinger_hook.core.compiled_core import Core
+from audioflinger_hook.core.design import core_design
 from audioflinger_hook.core.structures import Controls
 from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.drive.drive import driven_rigs
@@ -319,6 +320,24 @@ def test_the_daemons_variant_gives_the_bytes_of_ctypes_whatever_it_plays(
         assert bytes(one) == bytes(other)
     instance.close()
     page.close()
+
+
+@pytest.mark.parametrize("sample", [*ODD, 3e38])
+@pytest.mark.parametrize("kind", [*DESIGNS, "without transform"])
+def test_what_is_no_usable_sample_reaches_no_actuator(
+    daemon: Daemon, kind: str, sample: float
+) -> None:
+    only = core_design(RATE_HZ, 2, drives=several_drives(RATE_HZ)[:2])
+    design = only if kind == "without transform" else any_design(kind, RATE_HZ, 2)
+    page, instance = daemon(design, 2, 3, [0, 0, 0])
+    page.set_audible(True)
+    for sound in (
+        np.full((4_800, 2), sample),
+        any_sound(np.random.default_rng(1), 4_800, 4_800, 2),
+    ):
+        got = instance.run(padded(sound))
+        assert np.isfinite(got).all()
+        assert np.abs(got).max() <= 1.0
 
 
 def test_an_actuator_follows_the_daemons_page_and_begins_silent(daemon: Daemon) -> None:

@@ -85,6 +85,8 @@ def test_without_the_variable_a_private_folder_for_temporary_files_serves(variab
     with RuntimeFolder({**variable, "TMPDIR": str(tmp_path)}, create=True) as folder:
         assert folder.path == tmp_path / f"cushion-{os.geteuid()}"
         assert stat.S_IMODE(folder.path.stat().st_mode) == 0o700
+    with pytest.raises(UsageError, match="TMPDIR is '/none', which is not a folder"):
+        RuntimeFolder({**variable, "TMPDIR": "/none"}, create=True)
     folder.path.chmod(0o755)
     with pytest.raises(UsageError, match="open to others"):
         RuntimeFolder({**variable, "TMPDIR": str(tmp_path)}, create=True)
