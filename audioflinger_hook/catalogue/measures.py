@@ -105,4 +105,5 @@ def _weighted_response(name: str) -> FloatArray:
     moved = states @ linear.rate[FRAME_SPEED if rig.seat else SPEED]
     for numerator, denominator, _ in PARTS:
         moved = moved * np.polyval(numerator, s) / np.polyval(denominator, s)
-    return np.abs(rig.dac.full_scale_v * rig.amplifier.gain * moved) ** 2
+    response: FloatArray = np.abs(rig.dac.full_scale_v * rig.amplifier.gain * moved) ** 2
+    return response

@@ -11,14 +11,13 @@ from audioflinger_hook.catalogue.recipe import Recipe
 from audioflinger_hook.catalogue.timing import Timing
 from audioflinger_hook.catalogue.work import Outcome, do_batch, failed_by_death
 from audioflinger_hook.offline.batch import ENDED, NO_SERVER, Place
-from device.errors import InternalError, LostError
+from device.errors import InternalError
 
 BATCH_MAX = 256
 BATCH_S = 0.5  # wanted duration of a batch
 AHEAD = 2  # batches submitted for each slot, running or waiting
 POLL_S = 2.0  # time between two checks of the number of slots and of the connection
 DEATHS_MAX = 2  # an item fails after this many deaths of workers that ran only this item
-KILLS_MAX = 5  # after this many deaths that no item can have caused, the run ends
 
 Batch = list[Item]
 
@@ -42,7 +41,6 @@ class Run:
         self._suspects: deque[Batch] = deque()
         self._alone: Future[list[Outcome]] | None = None
         self._deaths: dict[int, int] = {}
-        self._kills = 0
 
     def outcomes(self) -> Iterator[list[Outcome]]:
         """Yield the outcomes of each finished batch. LostError: the workers cannot be reached."""
@@ -98,13 +96,6 @@ class Run:
         if not alone:
             self._suspects.append(batch)
             return []
-        death = self._place.death()
-        if death in (NO_SERVER, ENDED):
-            self._suspects.appendleft(batch)
-            self._kills += 1
-            if self._kills == KILLS_MAX:
-                raise LostError(f"workers died {KILLS_MAX} times, {death}")
-            return []
         if len(batch) > 1:
             self._suspects.extendleft([item] for item in reversed(batch))
             return []
@@ -113,5 +104,7 @@ class Run:
         if self._deaths[item.line] < DEATHS_MAX:
             self._suspects.appendleft(batch)
             return []
+        death = self._place.death()
         error = f"{item.audio}: its worker died {DEATHS_MAX} times, {death}"
-        return [failed_by_death(self._plain_recipe, item, error)]
+        is_tried_again = death in (NO_SERVER, ENDED)
+        return [failed_by_death(self._plain_recipe, item, error, is_tried_again)]

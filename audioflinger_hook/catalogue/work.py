@@ -101,14 +101,13 @@ def do_item(recipe: Recipe, item: Item, timing: Timing) -> Outcome:
     return Outcome(item, "failed", seconds, error=text, exit_code=found.exit_code, stops=stops)
 
 
-def failed_by_death(recipe: Recipe, item: Item, error: str) -> Outcome:
-    """Return the failure of an item that ended its workers; later runs then do not try it again."""
+def failed_by_death(recipe: Recipe, item: Item, error: str, is_tried_again: bool) -> Outcome:
+    """Return the failure of an item that ended its workers. It may be tried again by later runs."""
     with suppress(CushionError):
-        if key := _key(recipe, item):
+        if not is_tried_again and (key := _key(recipe, item)):
             record = {"key": key, "version": VERSION, "audio": item.audio, "death": scrubbed(error)}
             _write_record(_cached_storage(recipe.out), recipe.name(item), record)
-    code = DeathError.exit_code
-    return Outcome(item, "failed", 0.0, error=scrubbed(error), exit_code=code)
+    return Outcome(item, "failed", 0.0, error=scrubbed(error), exit_code=DeathError.exit_code)
 
 
 def status_of(recipe: Recipe, items: Iterable[Item], timing: Timing) -> Iterator[ItemStatus]:

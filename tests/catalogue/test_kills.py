@@ -136,7 +136,7 @@ def test_a_killed_run_leaves_no_folders_once_another_has_run(sounds, tmp_path):
     with tempfile.TemporaryDirectory(dir="/tmp") as name:  # short enough for a socket
         for _ in range(2):
             with start(*run, env={"TMPDIR": name}) as process:
-                until(lambda: list(Path(name).glob("*/pymp-*")), process)
+                until(lambda: any(Path(name).glob("*/pymp-*")), process)
                 process.kill()
         assert cushion(*run, env={"TMPDIR": name}).code == 0
         assert not list(Path(name).iterdir())
@@ -146,7 +146,7 @@ def test_a_killed_run_leaves_no_folders_once_another_has_run(sounds, tmp_path):
 def test_a_killed_fork_server_is_no_fault_of_an_item(sounds, expected, tmp_path, number):
     run = ("catalogue", sounds, "--out", tmp_path / "out", "--workers", 2)
     with start(*run) as process:
-        until(lambda: workers_of(process), process)
+        until(lambda: bool(workers_of(process)), process)
         workers_of(process)[0].parent().send_signal(number)
         _, stderr = process.communicate(timeout=60)
     assert (process.returncode, stderr) == (0, "")

@@ -14,6 +14,8 @@ from audioflinger_hook.catalogue.manifest import Manifest
 from device.errors import UsageError
 from tests.support.catalogues import library, manifest
 from tests.support.commands import call, start
+from tests.support.costs import cost_ffts
+from tools.bench.cost import in_ffts
 
 OUT = "/nowhere/out"
 
@@ -326,5 +328,7 @@ def test_memory_does_not_grow_with_a_manifest_and_a_done_item_takes_under_2_ms(t
     print(f"{1e3 * wall_s / (few + many):.3f} ms an item, {peaks} MB")
     if many == 1_000_000:  # of fewer items, the start of the processes is most of it
         assert wall_s / (few + many) <= 2e-3
-    # 16 bytes a line for the search of duplicates may stay in memory up to 4 MB in all.
+    run = ("catalogue", listed, "--out", out, "--workers", 1)
+    assert many > 5_000 or cost_ffts(lambda: call(*run)) <= in_ffts(1e-4 * many)
+    # 17 bytes a line for the search of duplicates may stay in memory up to 4 MB in all.
     assert peaks[1] - peaks[0] <= 8.0

@@ -18,6 +18,7 @@ from audioflinger_hook.catalogue.timing import StorageError
 from audioflinger_hook.exports.options import FORMATS
 from tests.support.catalogues import LOW_RATE, library, manifest, record, results, rows
 from tests.support.commands import call, noise, refused, sound, start, vibration
+from tests.support.programs import printed
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +55,18 @@ def test_every_sound_of_a_folder_becomes_what_render_makes_of_it(sounds, expecte
     assert found["seconds"] > 0.0
     assert found["host"]
     assert {"peak", "leak_above_250_hz_db", "exposure_a8_m_s2", "key"} <= found.keys()
+
+
+def test_a_run_does_without_scipy_whose_import_takes_a_second(sounds, tmp_path):
+    ran = f"main(['catalogue', '{sounds}', '--out', '{tmp_path}/out', '--workers', '1'])"
+    said, _ = printed(
+        "from audioflinger_hook.cli import catalogue, main, sys\n"
+        "from audioflinger_hook.offline.batch import Place\n"
+        "catalogue.LocalWorkers = lambda *_: Place()\n"
+        f"{ran}\nprint('scipy.signal' in sys.modules)"
+    )
+    assert "6 rendered" in said
+    assert said.endswith("False")
 
 
 @settings(max_examples=6, suppress_health_check=list(HealthCheck))
