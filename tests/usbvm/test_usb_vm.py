@@ -42,6 +42,17 @@ def done(folder: Path, scene: str, cards: tuple[str, ...] = ()) -> dict[str, Any
     return result
 
 
+def undisturbed(folder: Path, scene: str) -> tuple[dict[str, Any], Path]:
+    """What came of a scene, and its folder; again if the machine was too slow for the card."""
+    for attempt in range(3):
+        within = folder / str(attempt)
+        within.mkdir()
+        result = done(within, scene)
+        if result["statuses"][-1]["xruns"]["output"] == 0:
+            break
+    return result, within
+
+
 def sent(folder: Path, bits: int) -> list[Samples]:
     """The pieces that went to the card, as the integers that they were sent as."""
     pieces: list[list[NDArray[np.float32]]] = []
@@ -100,19 +111,19 @@ def assert_followed(result: dict[str, Any], ppm: float) -> None:
 @pytest.mark.soak
 @pytest.mark.parametrize(("scene", "ppm"), [("fast", 200.0), ("slow", -200.0)])
 def test_a_card_whose_clock_drifts_is_followed(tmp_path, scene, ppm):
-    result = done(tmp_path, scene)
-    taken = np.fromfile(tmp_path / "taken.raw", "<i2").reshape(-1, 2).astype(np.int64)
-    assert_all_heard(taken, np.concatenate(sent(tmp_path, 16)), RATE_HZ)
+    result, folder = undisturbed(tmp_path, scene)
+    taken = np.fromfile(folder / "taken.raw", "<i2").reshape(-1, 2).astype(np.int64)
+    assert_all_heard(taken, np.concatenate(sent(folder, 16)), RATE_HZ)
     assert_followed(result, ppm)
 
 
 def test_a_dac_of_class_2_gets_what_its_feedback_asks_for_bit_for_bit(tmp_path):
-    result = done(tmp_path, "feedback")
+    result, folder = undisturbed(tmp_path, "feedback")
     (offered,) = result["formats"]  # its rates are told by its clock alone
     assert (offered["samplerates"], offered["feedback"]) == ([44_100, 48_000], True)
-    taken = np.fromfile(tmp_path / "taken.raw", "<i4").reshape(-1, 2).astype(np.int64)
+    taken = np.fromfile(folder / "taken.raw", "<i4").reshape(-1, 2).astype(np.int64)
     # all 32 bits are sent, of which such a device heeds 24
-    assert_all_heard(taken, np.concatenate(sent(tmp_path, 32)), RATE_HZ)
+    assert_all_heard(taken, np.concatenate(sent(folder, 32)), RATE_HZ)
     assert_followed(result, 150.0)
     rate = [told["device_rate"] for told in result["statuses"] if told["state"] == "running"][-1]
     assert rate["nominal_hz"] == RATE_HZ
