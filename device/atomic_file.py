@@ -28,7 +28,7 @@ _FOLDER_FLAGS = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEX
 _MODE = 0o666  # reduced by the umask
 
 
-class AtomicFile:
+class AtomicFile(contextlib.AbstractContextManager["AtomicFile"]):
     """A new file that appears at `path` only when `commit` succeeds.
 
     Before `commit`, and after `abort` or kill -9, an existing file at `path` is unchanged. A `with`
@@ -108,9 +108,6 @@ class AtomicFile:
                 os.close(fd)
         self._file_fd = self._folder_fd = -1
 
-    def __enter__(self) -> "AtomicFile":
-        return self
-
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
             self.commit()
@@ -152,6 +149,21 @@ def write_bytes_atomically(path: str | os.PathLike[str], content: bytes) -> None
     """Write `content` with an `AtomicFile`: after an error, an existing file is unchanged."""
     with AtomicFile(path) as file:
         file.write(content)
+
+
+def write_private(path: Path, content: bytes) -> None:
+    """Write a file atomically; make its folder, if it is missing, for this user only."""
+    make_private_folder(path.parent)
+    write_bytes_atomically(path, content)
+
+
+def remove_file(path: Path) -> None:
+    """Remove a file or link, if there is one. UsageError: it cannot be removed."""
+    try:
+        with contextlib.suppress(NotADirectoryError):
+            path.unlink(missing_ok=True)
+    except OSError as error:
+        raise UsageError(f"cannot remove {path}: {error.strerror}; remove it yourself") from error
 
 
 def _refuse_unless_regular(path: Path) -> None:

@@ -36,6 +36,10 @@ class LostError(CushionError):
     exit_code = 4
 
 
+class NoAnswerError(LostError):
+    """The sound server accepts connections, but does not answer in time."""
+
+
 class BrokenStreamError(LostError):
     """A stream broke off, for example because a block was late; a measurement may be repeated."""
 

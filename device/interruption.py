@@ -1,7 +1,5 @@
 """Interruptions that Python would lose: those that arrive while a destructor runs."""
 
-from __future__ import annotations
-
 import signal
 import sys
 from types import FrameType
@@ -24,7 +22,7 @@ def repeat_lost_interruptions() -> None:
     signal.signal(signal.SIGALRM, _interrupt)
 
 
-def _repeat(lost: sys.UnraisableHookArgs) -> None:
+def _repeat(lost: "sys.UnraisableHookArgs") -> None:
     if isinstance(lost.exc_value, KeyboardInterrupt):
         signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
     else:

@@ -101,37 +101,41 @@ class Description(ABC):
 
 @dataclass(frozen=True)
 class Number(Description):
-    """A number from low to high, both included. off: whether "off" is allowed and means None."""
+    """A number from low to high, both included. word: is allowed instead; "off" means None."""
 
     low: float
     high: float
     unit: str = ""
     whole: bool = False
-    off: bool = False
+    word: str = ""
 
     @property
     def allowed(self) -> str:
         """The range with its unit."""
-        return f"{self.low:g} to {self.high:g} {self.unit}".rstrip() + ", or off" * self.off
+        word = f", or {self.word}" if self.word else ""
+        return f"{self.low:g} to {self.high:g} {self.unit}".rstrip() + word
 
     def refuse(self, value: object) -> Refusal | None:
         """Refuse NaN, numbers outside the range, booleans and other types."""
-        if self.off and value == OFF:
+        if self._is_word(value):
             return None
         if isinstance(value, bool) or not isinstance(value, int if self.whole else (int, float)):
             return Refusal(f"is not a {'whole ' * self.whole}number", self.allowed)
         return None if self.low <= value <= self.high else Refusal("is out of range", self.allowed)
 
     def json_schema(self) -> dict[str, Any]:
-        """Return the schema of a number in the range, without the word "off"."""
+        """Return the schema of a number in the range, without the word."""
         kind = "integer" if self.whole else "number"
         return {"type": kind, "minimum": self.low, "maximum": self.high}
 
     def typed(self, value: Any) -> Any:
-        """Return the number as a float or an int, and None for "off"."""
-        if self.off and value == OFF:
-            return None
+        """Return the number as a float or an int, None for "off", and any other word as it is."""
+        if self._is_word(value):
+            return None if value == OFF else value
         return value if self.whole else float(value)
+
+    def _is_word(self, value: object) -> bool:
+        return isinstance(value, str) and value == self.word != ""
 
 
 @dataclass(frozen=True)

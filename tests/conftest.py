@@ -44,13 +44,8 @@ def pytest_xdist_auto_num_workers():
 
 
 LONGEST = (
-    "test_identification_live.py",
-    "test_bench.py",
-    "test_wheel.py",
-    "test_possible_actuators.py",
-    "test_run_paced.py",
-    "test_kills.py",
-    "test_kernel.py",
+    *("test_identification_live.py", "test_bench.py", "test_wheel.py"),
+    *("test_possible_actuators.py", "test_run_paced.py", "test_kills.py", "test_kernel.py"),
     "test_same_bytes.py",
 )
 """Files whose exhaustive tests take a worker long: with these, they begin first, so that no worker

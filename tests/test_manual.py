@@ -38,22 +38,10 @@ def test_each_file_names_the_command_and_each_of_its_options(command: manual.Com
 
 def test_the_wheel_installs_each_file() -> None:
     installed = PROJECT["tool"]["setuptools"]["data-files"]
+    menu = {"applications/haptic-cushion.desktop", "icons/hicolor/scalable/apps/haptic-cushion.svg"}
     assert {(folder, path) for folder, paths in installed.items() for path in paths} == {
-        (f"share/{name.parent}", f"share/{name}") for name in FILES
+        (f"share/{name.parent}", f"share/{name}") for name in [*FILES, *map(Path, menu)]
     }
-
-
-def complete(*words: str) -> list[str]:
-    """Return what bash offers for the last word."""
-    script = (
-        f'source "{manual.SHARE / BASH}"; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); _cushion; '
-        'printf "%s\\n" "${COMPREPLY[@]}"'
-    )
-    done = subprocess.run(
-        ["bash", "-c", script, "bash", *words], capture_output=True, text=True, check=True
-    )
-    assert done.stderr == ""
-    return done.stdout.split()
 
 
 @pytest.mark.parametrize(
@@ -66,7 +54,13 @@ def complete(*words: str) -> list[str]:
     ],
 )
 def test_bash_offers_what_fits(words: list[str], offered: list[str]) -> None:
-    assert complete(*words) == offered
+    script = (
+        f'source "{manual.SHARE / BASH}"; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); _cushion; '
+        'printf "%s\\n" "${COMPREPLY[@]}"'
+    )
+    command = ["bash", "-c", script, "bash", *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert (done.stdout.split(), done.stderr) == (offered, "")
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,6 @@ pytestmark = pytest.mark.exhaustive
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where wheels are built and installed."""
     return tmp_path_factory.mktemp("wheel")
 
 
@@ -95,18 +94,8 @@ def test_one_wheel_serves_every_python_and_each_glibc_it_names(folder: Path, mac
 def test_it_renders_as_the_full_environment_does(environment: Path, tmp_path: Path) -> None:
     sound(tmp_path / "in.wav", noise(24_000, 2))
     done = run(environment, "cushion", "render", "in.wav", "out.wav", "--json", cwd=tmp_path)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert json.loads(done.stdout)["frames"] == 24_000
+    assert (done.returncode, done.stderr, json.loads(done.stdout)["frames"]) == (0, "", 24_000)
     assert np.abs(vibration(tmp_path / "out.wav")).max() > 0.01
-
-
-def test_the_library_is_whole_and_its_transform_compiled(environment: Path, tmp_path: Path) -> None:
-    program = (
-        "import numpy as np, audioflinger_hook as a\n"
-        "print(a.HapticTransform(48000, 2).process(np.ones((480, 2), np.float32)).shape)"
-    )
-    done = run(environment, "python", "-c", program, cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (0, "(480, 1)\n"), done.stderr
 
 
 def test_the_demo_plays_the_same_without_a_compiler(environment: Path, tmp_path: Path) -> None:
@@ -134,7 +123,7 @@ def test_the_demo_plays_the_same_without_a_compiler(environment: Path, tmp_path:
         (["test-tone", "--device", "haptic"], "pulsectl", "live"),
         (["setup", "--yes", "--device", "haptic"], "pulsectl", "live"),
         (["run", "--device", "haptic"], "pulsectl", "live"),
-        (["monitor"], "websockets", "page"),
+        (["monitor"], "prometheus_client", "page"),
     ],
 )
 def test_a_command_that_needs_an_extra_names_it_in_one_line(

@@ -79,7 +79,8 @@ def told(lost: list[int]) -> str:
 def lost_cycles(player: str, count: int, folder: Path, environment: Mapping[str, str]) -> list[int]:
     """Return the number of graph cycles that each of `count` new streams lost at its start.
 
-    LostError: a player is not installed, or the recording contains fewer than `count` streams.
+    LostError: a player is not installed, or the recording contains fewer than `count` streams, or a
+    stream with one tone.
     """
     command = PLAYERS[player]
     if missing := [one for one in command[:2] if one[0] != "-" and not shutil.which(one)]:
@@ -113,6 +114,8 @@ def lost_cycles(player: str, count: int, folder: Path, environment: Mapping[str,
 
 def _lost(heard: FloatArray, felt: FloatArray) -> Iterator[int]:
     begins = onsets(heard, RATE_HZ)
+    if len(begins) % 2:
+        raise LostError(f"{len(begins)} tones were heard, but each stream has 2; measure again")
     for first, second in zip(begins[::2], begins[1::2], strict=True):
         late = _delay_frames(felt, first) - _delay_frames(felt, second)
         yield max(0, round(late / QUANTUM))

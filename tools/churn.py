@@ -9,7 +9,6 @@ and vibration.
 from __future__ import annotations
 
 import argparse
-import math
 import subprocess
 import sys
 import tempfile
@@ -25,7 +24,7 @@ import soundfile
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from audioflinger_hook.transform import FloatArray
-from device.errors import CushionError
+from device.errors import CushionError, LostError
 from tools.live_latency.bursts import GraphOnce, recorded_together
 from tools.live_latency.daemon import running_daemon, status_of_daemon
 from tools.live_latency.recording import end, server_name, spawn
@@ -105,10 +104,12 @@ def churned(server: SoundServer, seconds: float) -> Churn:
             grown = _link_count(environment) - before
         finally:
             end(player)
+    if used.cpu_percent is None or used.memory_growth_kb is None:
+        raise LostError("the daemon has ended, so its CPU time is unknown; see its messages")
     heard, felt = soundfile.read(together, always_2d=True)[0].T
     return Churn(
-        cpu_percent=used.cpu_percent or math.nan,
-        memory_growth_kb=used.memory_growth_kb or 0.0,
+        cpu_percent=used.cpu_percent,
+        memory_growth_kb=used.memory_growth_kb,
         links_growth=grown,
         heard_gaps_ms=_gaps_ms(heard),
         felt_gaps_ms=_gaps_ms(felt),

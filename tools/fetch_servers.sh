@@ -1,6 +1,7 @@
 #!/bin/sh
 # The sound servers that the tests marked `servers` run against: PulseAudio, PipeWire with WirePlumber and
 # pipewire-pulse, ALSA's pulse plugin, the small programs that play and record, hosts of the plugin, and promtool.
+# Then what a login under systemd needs.
 #
 # pipewire-alsa stays out: it conflicts with PulseAudio. Where somebody's sound server runs nothing is
 # installed, since a second one could take its place at the next login.
@@ -15,9 +16,11 @@ ladspa-sdk lilv-utils lv2-dev sordi strace prometheus mpv pipewire-jack'
 
 # shellcheck disable=SC2086
 missing=$(missing_packages $packages)
-[ -n "$missing" ] || exit 0
-for socket in /run/user/*/pulse/native /run/user/*/pipewire-0; do
-    [ ! -S "$socket" ] || without "a sound server is in use here; missing beside it:$missing"
-done
-# shellcheck disable=SC2086
-install_packages "$who" $packages
+if [ -n "$missing" ]; then
+    for socket in /run/user/*/pulse/native /run/user/*/pipewire-0; do
+        [ ! -S "$socket" ] || without "a sound server is in use here; missing beside it:$missing"
+    done
+    # shellcheck disable=SC2086
+    install_packages "$who" $packages
+fi
+install_packages "$who" libpam-systemd dbus-user-session

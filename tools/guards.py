@@ -148,7 +148,7 @@ MUTATIONS = (
     Mutation(
         "without a valid record, the warmest coil is assumed",
         "audioflinger_hook/daemon/safety_keeper.py",
-        "                if trouble:\n                    state = bounds.warmest",
+        "                if trouble and not known:\n                    state = bounds.warmest",
         "                if False:\n                    state = bounds.warmest",
         KEPT,
     ),
@@ -188,11 +188,7 @@ MUTATIONS = (
         PLACED,
     ),
     Mutation(
-        "no microphone is tapped",
-        GUARD,
-        "if one.monitor_of or self.any_source]",
-        "]",
-        PLACED,
+        "no microphone is tapped", GUARD, "if one.monitor_of or self.any_source]", "]", PLACED
     ),
     Mutation(
         "an ended guard leaves its stream silent",
@@ -204,8 +200,8 @@ MUTATIONS = (
     Mutation(
         "the device's own sound is not tapped",
         TAPS,
-        "if sink.id == avoided or not graph.is_sink(sink.id):",
-        "if not graph.is_sink(sink.id):",
+        "if sink.id == avoided or not sink.is_sink:",
+        "if not sink.is_sink:",
         TAPPED,
     ),
     Mutation(
@@ -274,8 +270,8 @@ MUTATIONS = (
     Mutation(
         "settings of a USB device are restored",
         "device/usb/guardian.py",
-        "        control.restore(\n",
-        "        ControlState.__call__ and (lambda _state: None)(\n",
+        'control.restore(ControlState(volumes, mutes, state["samplerate"]))',
+        "pass",
         GIVEN_BACK,
     ),
     Mutation(

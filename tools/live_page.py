@@ -17,7 +17,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
 from base64 import b64decode
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -25,12 +24,15 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from scipy.io import wavfile
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from tools.sound_server import SoundServer
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, FloatRect, Page
+    from playwright.sync_api import Browser, Page
 
 ROOT = Path(__file__).resolve().parents[1]
 CUSHION = (sys.executable, "-m", "audioflinger_hook")
@@ -44,12 +46,17 @@ CHROMIUM_OPTIONS = (
     "--disable-sync",
 )
 START_S = 20.0
-MOVING_WIDTH, MOVING_HEIGHT = 1000, 816
+MOVING_WIDTH, MOVING_HEIGHT = 1000, 760
 """In pixels: width of the animation, and height of the shown part of a page 1280 pixels wide."""
 
 MOVING_HZ, MOVING_S, MOVING_AFTER_S = 10.0, 7.5, 5.0
 MOVING_BYTES_MAX = 2_000_000
-VIEWS = [(width, theme) for width in (1280, 390) for theme in ("dark", "light")]
+FILLED_S = 10.6  # time until the chart of 10 s is full; the scene's chord follows
+VIBRATION_S, TRY_S = 5.0, 0.05  # longest wait for strong vibration, and period of the checks
+STRONG, STRONG_COUNT = 0.03, 4  # strong vibration: least amplitude, least number of partials
+QUIET = np.float32(0.05)  # gain of the second application
+VIEWS = [(size, theme) for size in ((1366, 768), (390, 844)) for theme in ("dark", "light")]
+"""Width and height of the page in pixels, and its theme, for each picture."""
 
 
 def missing_browser() -> list[str]:
@@ -145,13 +152,10 @@ def browser() -> Iterator[Browser]:
 
 
 @contextmanager
-def player(server: SoundServer, wav: Path, name: str, volume: float = 1.0) -> Iterator[None]:
-    """A context in which a program, called `name`, plays a WAV file. volume: 0 to 1."""
+def player(server: SoundServer, wav: Path, name: str) -> Iterator[None]:
+    """A context in which a program, called `name`, plays a WAV file."""
     process = subprocess.Popen(
-        [
-            *("pacat", "--playback", f"--client-name={name}", f"--volume={int(65_536 * volume)}"),
-            *("--file-format=wav", str(wav)),
-        ],
+        ["pacat", "--playback", f"--client-name={name}", "--file-format=wav", str(wav)],
         env=server.environment,
         stdin=subprocess.DEVNULL,
     )
@@ -182,17 +186,36 @@ def cinema() -> Iterator[tuple[SoundServer, Path, Monitor, Browser]]:
 
 
 def take_pictures(folder: Path) -> None:
-    """Write a picture of the page for each width and theme."""
+    """Write a picture of the first screen for each size and theme; for phones also of the end."""
     with cinema() as (server, wav, monitor, chromium):
-        for width, theme in VIEWS:
-            with player(server, wav, "Film player"), player(server, wav, "Web browser", 0.05):
+        # The daemon compensates a stream's volume, so a quieter file is needed.
+        samplerate, frames = wavfile.read(wav)
+        quiet = wav.with_name("quiet.wav")
+        wavfile.write(quiet, samplerate, QUIET * frames)
+        for (width, height), theme in VIEWS:
+            with player(server, wav, "Film player"), player(server, quiet, "Web browser"):
                 page = open_page(chromium, monitor.address, width, theme)
-                time.sleep(12.0)  # the waterfall shows ten seconds
+                page.set_viewport_size({"width": width, "height": height})
+                page.wait_for_timeout(1e3 * FILLED_S)
+                wait_for_vibration(page)
                 kind = "page" if width > 500 else "phone"
-                tall = 1900.0 if kind == "page" else 1700.0
-                clip: FloatRect = {"x": 0.0, "y": 0.0, "width": float(width), "height": tall}
-                page.screenshot(path=folder / f"{kind}-{theme}.png", full_page=True, clip=clip)
+                page.screenshot(path=folder / f"{kind}-{theme}.png")
+                if kind == "phone":
+                    page.evaluate("scrollTo(0, document.body.scrollHeight)")
+                    wait_for_vibration(page)
+                    page.screenshot(path=folder / f"{kind}-below-{theme}.png")
                 page.close()
+
+
+def wait_for_vibration(page: Page) -> None:
+    """Wait until the page shows strong vibration, since the scene has pauses."""
+    strong = f"window.cushion.partials.filter(({{ amplitude }}) => amplitude > {STRONG}).length"
+    for _ in range(round(VIBRATION_S / TRY_S)):
+        if page.evaluate(strong) >= STRONG_COUNT:
+            page.wait_for_timeout(300)  # the words change at most every 250 ms
+            return
+        page.wait_for_timeout(1e3 * TRY_S)
+    raise RuntimeError(f"the page shows no strong vibration within {VIBRATION_S:g} s")
 
 
 def take_moving_picture(path: Path) -> None:
@@ -214,6 +237,7 @@ def take_moving_picture(path: Path) -> None:
         session.send("Page.startScreencast", {"format": "jpeg", "quality": 95})
         page.wait_for_timeout(1e3 * MOVING_S)
         session.send("Page.stopScreencast")
+        session.remove_listener("Page.screencastFrame", keep)
     print(f"{len(shots) / (shots[-1][0] - shots[0][0]):.1f} pictures a second were drawn")
     frames = []
     for number in range(int((shots[-1][0] - shots[0][0]) * MOVING_HZ)):

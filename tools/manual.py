@@ -160,11 +160,7 @@ def bash(known: tuple[Command, ...]) -> str:
                     f'        "{command.name} {option.flags[-1]}") '
                     f'words="{" ".join(option.words)}" ;;'
                 ]
-    lines += [
-        "    esac",
-        '    if [ -z "$words" ]; then',
-        '        case "${COMP_WORDS[1]}" in',
-    ]
+    lines += ["    esac", '    if [ -z "$words" ]; then', '        case "${COMP_WORDS[1]}" in']
     for command in known:
         arguments = [word for o in command.options if not o.flags for word in o.words]
         words = " ".join([*arguments, *command.flags])

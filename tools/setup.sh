@@ -19,9 +19,9 @@ set -eu
 
 case ${1-} in
     run) wanted=figures,live,page ;;
-    test) wanted=figures,live,page,films,remote,cluster,dev ;;
-    docs) wanted=figures,live,page,films,remote,cluster,dev,docs ;;
-    s3) wanted=figures,live,page,films,remote,cluster,dev,docs,s3,dev-s3 ;; # docs: one set-up for both
+    test) wanted=figures,live,page,tray,films,remote,cluster,dev ;;
+    docs) wanted=figures,live,page,tray,films,remote,cluster,dev,docs ;;
+    s3) wanted=figures,live,page,tray,films,remote,cluster,dev,docs,s3,dev-s3 ;; # docs: one set-up for both
     *)
         echo 'usage: tools/setup.sh run|test|docs|s3' >&2
         exit 2

@@ -177,12 +177,7 @@ class SoundServer:
         return self._ask("pactl", *arguments)
 
     def add_sink(
-        self,
-        name: str,
-        properties: str = "",
-        *,
-        rate_hz: int = RATE_HZ,
-        channel_map: str = STEREO,
+        self, name: str, properties: str = "", *, rate_hz: int = RATE_HZ, channel_map: str = STEREO
     ) -> None:
         """Add a null sink with float32 samples (on PulseAudio without rewinds)."""
         arguments = [

@@ -40,10 +40,7 @@ def write_configuration(kind: str, folder: Path, socket: Path) -> dict[str, str]
         f".fail\nload-module module-native-protocol-unix socket={socket} auth-anonymous=1\n"
     )
     pipewire, wireplumber = folder / "pipewire", folder / "wireplumber"
-    environment = {
-        "PIPEWIRE_CONFIG_DIR": str(pipewire),
-        "WIREPLUMBER_CONFIG_DIR": str(wireplumber),
-    }
+    environment = {"PIPEWIRE_CONFIG_DIR": str(pipewire), "WIREPLUMBER_CONFIG_DIR": str(wireplumber)}
     if kind != "pipewire":
         return environment
     for path in (pipewire, wireplumber):

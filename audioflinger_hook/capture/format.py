@@ -32,8 +32,6 @@ samples, so a damaged line affects no other buffer. `samples_crc` detects sample
 failure lost or another program changed. Any thread may call the module's functions.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

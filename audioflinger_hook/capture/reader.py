@@ -1,10 +1,8 @@
 """Reads the buffers of a capture, unchanged."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Generator, Iterator
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,7 +30,6 @@ from audioflinger_hook.capture.segment import (
     segment_format,
 )
 from device.errors import UsageError
-from device.units import Float32Array
 from device.values import counted
 
 REBUILT_FRAMES = 1_024  # length of a buffer if the recorded lengths are lost
@@ -64,7 +61,15 @@ class Capture:
         found = _streams_there(self.folder)
         first = first_record(self._index) if self._index.is_file() else None
         if isinstance(first, Header):
-            _refuse_unless_known(self.folder, first)
+            if first.format != FORMAT:
+                raise UsageError(
+                    f"{self.folder} contains the format {first.format!r}; allowed: {FORMAT!r}"
+                )
+            if first.version != VERSION:
+                raise UsageError(
+                    f"{self.folder} is a capture of version {first.version}; this program reads "
+                    f"version {VERSION}: use a newer one"
+                )
             self.streams, self.facts = tuple(first.streams), first.facts
         elif first is not None:
             self.streams = found
@@ -97,9 +102,9 @@ class Capture:
     def _read(self, stream: str) -> Buffers:
         if not self.streams:  # cut off before the first buffer
             return
-        tally = _Tally()
-        samples_of = _Samples(self.folder)
-        try:
+        tally, number = _Tally(), 0
+        segment: SegmentReader | None = None  # reads the segment `number`, unless that is missing
+        with ExitStack() as opened:
             for record in records(self._index):
                 if record is None:
                     tally.unread_lines += 1
@@ -113,13 +118,18 @@ class Capture:
                     tally.dropped_frames += record.frames
                     tally.after_drop = True
                 elif isinstance(record, BufferRecord) and record.stream == stream:
-                    samples = samples_of.read(record)
+                    if record.segment != number:
+                        opened.close()
+                        number, segment = record.segment, None
+                        with suppress(FileNotFoundError):
+                            path = self.folder / segment_name(stream, number)
+                            segment = opened.enter_context(closing(SegmentReader(path)))
+                    place = (record.first, record.frames, record.channels, record.samples_crc)
+                    samples = segment.read(*place) if segment else None
                     if samples is None or record.buffer < tally.next_buffer:
                         continue
                     discontinuity = tally.take(record) or record.discontinuity
                     yield CaptureBuffer(samples, record.samplerate, record.time_s, discontinuity)
-        finally:
-            samples_of.close()
         for text in tally.warnings(stream):
             self._warn(f"{self.folder}: {text}")
 
@@ -150,10 +160,8 @@ class Capture:
 @dataclass
 class _Tally:
     next_buffer: int = 0
-    taken_buffers: int = 0
     taken_frames: int = 0
     lost_buffers: int = 0
-    gaps: int = 0
     first_gap: int = 0
     dropped_buffers: int = 0
     dropped_frames: int = 0
@@ -165,19 +173,18 @@ class _Tally:
     def take(self, record: BufferRecord) -> bool:
         lost = record.buffer - self.next_buffer
         if lost:
-            self.first_gap = record.buffer if not self.gaps else self.first_gap
-            self.gaps += 1
+            self.first_gap = self.first_gap or record.buffer
             self.lost_buffers += lost
         missing = lost > 0 or self.after_drop
         self.after_drop = False
         self.next_buffer = record.buffer + 1
-        self.taken_buffers += 1
         self.taken_frames += record.frames
         return missing
 
     def warnings(self, stream: str) -> Iterator[str]:
+        taken_buffers = self.next_buffer - self.lost_buffers
         recovered = (
-            f"recovered: {counted(self.taken_buffers, 'whole buffers')} "
+            f"recovered: {counted(taken_buffers, 'whole buffers')} "
             f"({self.taken_frames} frames) of stream {stream}"
         )
         if self.dropped_buffers:
@@ -185,7 +192,7 @@ class _Tally:
                 f"dropped while recording: {counted(self.dropped_buffers, 'buffers')} "
                 f"({self.dropped_frames} frames) of stream {stream}; a discontinuity marks each"
             )
-        if self.gaps:
+        if self.lost_buffers:
             yield (
                 f"damaged and left out: {counted(self.lost_buffers, 'buffers')} of stream "
                 f"{stream}, the first before buffer {self.first_gap}; a discontinuity marks each"
@@ -202,29 +209,6 @@ class _Tally:
             yield f"damaged at the end: {counted(lost, 'buffers')}; {recovered}"
 
 
-class _Samples:
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._path: Path | None = None
-        self._segment: SegmentReader | None = None
-
-    def read(self, record: BufferRecord) -> Float32Array | None:
-        path = self._folder / segment_name(record.stream, record.segment)
-        if path != self._path:
-            self.close()
-            self._path = path
-            with suppress(FileNotFoundError):
-                self._segment = SegmentReader(path)
-        if self._segment is None:
-            return None
-        return self._segment.read(record.first, record.frames, record.channels, record.samples_crc)
-
-    def close(self) -> None:
-        if self._segment is not None:
-            self._segment.close()
-        self._segment = self._path = None
-
-
 def _streams_there(folder: Path) -> tuple[str, ...]:
     try:
         if not folder.exists():
@@ -234,16 +218,6 @@ def _streams_there(folder: Path) -> tuple[str, ...]:
         return tuple(stream for stream in STREAMS if segment_paths(folder, stream))
     except OSError as error:
         raise UsageError(f"{folder} cannot be read ({error.strerror}); check permissions") from None
-
-
-def _refuse_unless_known(folder: Path, header: Header) -> None:
-    if header.format != FORMAT:
-        raise UsageError(f"{folder} contains the format {header.format!r}; allowed: {FORMAT!r}")
-    if header.version != VERSION:
-        raise UsageError(
-            f"{folder} is a capture of version {header.version}; this program reads version "
-            f"{VERSION}: use a newer one"
-        )
 
 
 def _ordered_segments(folder: Path, stream: str) -> list[tuple[Path, SegmentFormat]]:

@@ -1,10 +1,9 @@
 """Takes buffers from the audio thread; a second thread writes them to a capture."""
 
-from __future__ import annotations
-
 import threading
-from dataclasses import dataclass
+from contextlib import AbstractContextManager
 from queue import SimpleQueue
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,8 +15,7 @@ CAPACITY_SAMPLES = 1 << 22  # 16 MB, or 43 s of 48 kHz stereo
 CAPACITY_BUFFERS = 1 << 14
 
 
-@dataclass(frozen=True, slots=True)
-class _Handed:
+class _Handed(NamedTuple):
     start: int
     end: int
     shape: tuple[int, int]
@@ -27,7 +25,7 @@ class _Handed:
     dropped_before: tuple[int, int]
 
 
-class CaptureRecorder:
+class CaptureRecorder(AbstractContextManager["CaptureRecorder"]):
     """Writes a capture for audio threads. For each stream, only one thread may call `offer`.
 
     writer: `close` also closes the writer. capacity_samples, capacity_buffers: largest size of each
@@ -100,9 +98,6 @@ class CaptureRecorder:
         if self.error is not None:
             raise self.error
 
-    def __enter__(self) -> CaptureRecorder:
-        return self
-
     def __exit__(self, *_error: object) -> None:
         self.close()
 
@@ -114,7 +109,10 @@ class CaptureRecorder:
             lane = self._lanes[stream]
             if not failure:
                 try:
-                    self._write(stream, lane, handed)
+                    self._note(stream, handed.dropped_before)
+                    missing = handed.discontinuity or handed.dropped_before[0] > 0
+                    samples, rate, at_s = lane.samples_of(handed), handed.samplerate, handed.time_s
+                    self._writer.write_buffer(stream, samples, rate, at_s, discontinuity=missing)
                 except Exception as error:
                     ended = InternalError(f"the capture ended: {type(error).__name__}: {error}")
                     self.error = failure = error if isinstance(error, CushionError) else ended
@@ -122,16 +120,6 @@ class CaptureRecorder:
                 lane.unwritten_buffers += 1
                 lane.unwritten_frames += handed.shape[0]
             lane.release(handed)
-
-    def _write(self, stream: str, lane: _Lane, handed: _Handed) -> None:
-        self._note(stream, handed.dropped_before)
-        self._writer.write_buffer(
-            stream,
-            lane.samples_of(handed),
-            handed.samplerate,
-            handed.time_s,
-            discontinuity=handed.discontinuity or handed.dropped_before[0] > 0,
-        )
 
     def _note(self, stream: str, dropped: tuple[int, int]) -> None:
         if dropped[0]:

@@ -1,7 +1,5 @@
 """Segments of a capture: float32 WAV files, readable while they grow and after a crash."""
 
-from __future__ import annotations
-
 import os
 import stat
 import struct
@@ -102,7 +100,6 @@ class SegmentReader(_Descriptor):
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
         try:
             # Without O_NONBLOCK, opening a pipe would block until a writer opens the pipe.
             self._fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)

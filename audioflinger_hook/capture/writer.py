@@ -1,12 +1,10 @@
 """Writes a capture. All buffers written before a crash of the process remain."""
 
-from __future__ import annotations
-
 import errno
 import math
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -39,7 +37,7 @@ class _Stream:
     segment_frames: int = 0
 
 
-class CaptureWriter:
+class CaptureWriter(AbstractContextManager["CaptureWriter"]):
     """A new capture, written buffer by buffer.
 
     `write_buffer` passes the data to the operating system before it returns. `close` syncs the
@@ -144,9 +142,6 @@ class CaptureWriter:
         finally:
             self._release()
 
-    def __enter__(self) -> CaptureWriter:
-        return self
-
     def __exit__(self, *_error: object) -> None:
         self.close()
 
@@ -185,26 +180,20 @@ class CaptureWriter:
             with suppress(OSError):  # the CRC reveals half a line
                 os.ftruncate(self._index_fd, index_bytes)
             if before:
-                self._go_back(stream, before)
+                started = self._streams[stream].segment
+                if started is not None and started is not before.segment:
+                    started.discard()
+                if before.segment is not None:
+                    before.segment.cut(before.segment_frames)
+                self._streams[stream] = before
             if isinstance(error, OSError):
-                raise self._fail(error) from error
+                self._failure = WriteError(
+                    f"cannot write to the capture {self.folder}: {write_reason(error)}; "
+                    "it can be replayed up to there"
+                )
+                self._release()
+                raise self._failure from error
             raise
-
-    def _go_back(self, stream: str, before: _Stream) -> None:
-        started = self._streams[stream].segment
-        if started is not None and started is not before.segment:
-            started.discard()
-        if before.segment is not None:
-            before.segment.cut(before.segment_frames)
-        self._streams[stream] = before
-
-    def _fail(self, error: OSError) -> WriteError:
-        self._failure = WriteError(
-            f"cannot write to the capture {self.folder}: {write_reason(error)}; "
-            "it can be replayed up to there"
-        )
-        self._release()
-        return self._failure
 
     def _release(self) -> None:
         for state in self._streams.values():
@@ -227,7 +216,16 @@ def check_frames(frames: Float32Array) -> None:
 def _new_index(folder: Path, header: bytes) -> int:
     made = False
     try:
-        made = _make_folder(folder)
+        try:
+            folder.mkdir()
+            made = True
+        except FileExistsError:
+            if not folder.is_dir():
+                what = "not a folder; name another"
+                raise UsageError(f"cannot capture to {folder}: {what}") from None
+            if any(folder.iterdir()):
+                what = "the folder is not empty; name a new one"
+                raise UsageError(f"cannot capture to {folder}: {what}") from None
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         fd = os.open(folder / INDEX_NAME, flags, 0o666)
         try:
@@ -242,21 +240,6 @@ def _new_index(folder: Path, header: bytes) -> int:
             with suppress(OSError):
                 folder.rmdir()
         raise _folder_failure(folder, error) from error
-
-
-def _make_folder(folder: Path) -> bool:
-    """Create a missing folder; return whether it was missing. UsageError: unusable folder."""
-    try:
-        folder.mkdir()
-    except FileExistsError:
-        if not folder.is_dir():
-            raise UsageError(f"cannot capture to {folder}: not a folder; name another") from None
-        if any(folder.iterdir()):
-            raise UsageError(
-                f"cannot capture to {folder}: the folder is not empty; name a new one"
-            ) from None
-        return False
-    return True
 
 
 def _folder_failure(folder: Path, error: OSError | ValueError) -> CushionError:

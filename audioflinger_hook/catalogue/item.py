@@ -1,7 +1,5 @@
 """One item of a catalogue, and the columns that describe it in a manifest."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Mapping
@@ -9,13 +7,13 @@ from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import PurePosixPath
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 from urllib.parse import urlsplit
 
 from audioflinger_hook.catalogue import addresses
 from audioflinger_hook.catalogue.addresses import is_url, scrubbed
 from audioflinger_hook.config.profiles import PROFILES
-from device.values import Choice, Described, Description, Number, Refusal, Text
+from device.values import Choice, Described, Number, Refusal, Text
 
 LONGEST_S = 1e7
 RESERVED = re.compile(r"catalogue|failed(-\d+-of-\d+)?")  # names of files that a run writes itself
@@ -71,10 +69,8 @@ class _Name(Text):
 
 
 @dataclass(frozen=True)
-class _Channels(Description):
-    @property
-    def allowed(self) -> str:
-        return "mono, each, or channel numbers counted from 0"
+class _Channels(Text):
+    grammar: str = "mono, each, or channel numbers counted from 0"
 
     def refuse(self, value: object) -> Refusal | None:
         numbers = value if isinstance(value, tuple) else ()
@@ -91,9 +87,6 @@ class _Channels(Description):
 @dataclass(frozen=True)
 class Item(Described):
     """One sound of a catalogue. line: its line in the manifest or number in a folder, from 1."""
-
-    NAMES: ClassVar[tuple[str, ...]]
-    NUMBERS: ClassVar[tuple[str, ...]] = ("start_s", "duration_s", "track")
 
     audio: Annotated[str, _Audio("the sound: path or URL")]
     id: Annotated[str, _Name("name of the result")]
@@ -116,11 +109,11 @@ class Item(Described):
 
     def row(self) -> dict[str, Any]:
         """Return this item as the keys and values of a manifest's line."""
-        row = {name: getattr(self, name) for name in self.NAMES}
+        row = {name: getattr(self, name) for name in COLUMNS}
         return {name: value for name, value in row.items() if value not in (None, 0.0)}
 
 
-Item.NAMES = tuple(field.name for field in fields(Item) if field.name != "line")
+COLUMNS = tuple(field.name for field in fields(Item) if field.name != "line")
 
 
 def default_id(audio: str, start_s: object, root: str = "") -> str:
@@ -158,7 +151,7 @@ def values_of(row: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
     mistakes = []
     for name, value in _from_lhotse(row).items():
         ours = ALIASES.get(name, name)
-        if ours in Item.NAMES:
+        if ours in COLUMNS:
             if ours not in values:
                 values[ours] = value
             elif values[ours] != value:
@@ -175,7 +168,7 @@ def cell_value(name: str, cell: str) -> Any:
     try:
         if ours == "track":
             return int(cell)
-        if ours in Item.NUMBERS:
+        if ours in ("start_s", "duration_s"):
             return float(cell)
         if ours == "channels" and cell not in ("mono", "each"):
             return [int(one) for one in cell.split()]
@@ -194,11 +187,7 @@ def _meant(name: str) -> str:
 
 def _from_lhotse(row: dict[str, Any]) -> dict[str, Any]:
     """Return the row, with the key "audio" if it is a recording or cut of the library lhotse."""
-    recording = row.get("recording", row)
-    sources = recording.get("sources") if isinstance(recording, dict) else None
-    if not isinstance(sources, list) or len(sources) != 1 or not isinstance(sources[0], dict):
-        return row
-    source = sources[0]
-    if source.get("type") not in ("file", "url"):
-        return row
-    return {**row, "audio": source.get("source")}
+    match row.get("recording", row):
+        case {"sources": [{"type": "file" | "url", **source}]}:
+            return {**row, "audio": source.get("source")}
+    return row

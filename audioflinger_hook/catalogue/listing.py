@@ -1,9 +1,6 @@
 """Search for sounds in local folders."""
 
-from __future__ import annotations
-
 import fnmatch
-import glob
 import os
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
@@ -48,32 +45,16 @@ def is_same(path: str, other: str) -> bool:
         return False
 
 
-def fixed_part(pattern: str) -> str:
-    """Return the path of the last folder before the first wildcard of a glob."""
-    parts = pattern.split("/")
-    first = next(index for index, part in enumerate(parts) if glob.has_magic(part))
-    return "/".join(parts[:first])
-
-
-def matches(path: str, pattern: str) -> bool:
-    """Return whether a path matches a glob. `**` in the glob matches any number of folders."""
-    return _parts_match(path.split("/"), pattern.split("/"))
-
-
-def _parts_match(path: list[str], pattern: list[str]) -> bool:
+def matches(path: list[str], pattern: list[str]) -> bool:
+    """Return whether the parts of a path match those of a glob; `**` matches any folders."""
     if not pattern:
         return not path
     first, *rest = pattern
     if first == "**":
-        return any(_parts_match(path[n:], rest) for n in range(len(path) + 1))
-    return bool(path) and fnmatch.fnmatchcase(path[0], first) and _parts_match(path[1:], rest)
+        return any(matches(path[n:], rest) for n in range(len(path) + 1))
+    return bool(path) and fnmatch.fnmatchcase(path[0], first) and matches(path[1:], rest)
 
 
 def is_sound(path: str) -> bool:
     """Return whether a file name has the suffix of a sound or film."""
-    return ending_of(path) in SOUNDS
-
-
-def ending_of(path: str) -> str:
-    """Return the lower-case suffix of a path or URL, with its dot."""
-    return PurePosixPath(path).suffix.lower()
+    return PurePosixPath(path).suffix.lower() in SOUNDS

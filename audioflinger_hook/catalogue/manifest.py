@@ -1,7 +1,5 @@
 """Reads manifests, which list the sounds of a catalogue: JSON lines, CSV, folders and globs."""
 
-from __future__ import annotations
-
 import csv
 import glob
 import gzip
@@ -10,11 +8,12 @@ import json
 import os
 import tempfile
 import zlib
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import lru_cache
 from hashlib import blake2b
+from itertools import takewhile
 from pathlib import Path
 from struct import Struct
 from typing import IO, Any
@@ -105,8 +104,11 @@ class Manifest:
         if not named:
             values["id"] = default_id(str(audio), values.get("start_s"), self._root)
         values["line"] = line
-        if isinstance(audio, str):
-            values["audio"] = self._absolute(audio)
+        if audio and isinstance(audio, str):
+            # Relative paths start at the manifest's folder, which may be a URL.
+            inside = not (is_url(audio) or audio.startswith("/"))
+            whole = f"{self._folder}/{audio}" if inside else audio
+            values["audio"] = whole if is_url(whole) else os.path.normpath(whole)
         try:
             item = Item(**values)
         except (UsageError, TypeError):
@@ -119,15 +121,6 @@ class Manifest:
             return None, [f"audio={shown(item.audio)} is in the output folder; name another"]
         return item, []
 
-    def _absolute(self, audio: str) -> str:
-        """Return a sound's URL or absolute path. Relative paths start at the manifest's folder."""
-        if not audio or is_url(audio):
-            return audio
-        if audio.startswith("/"):
-            return os.path.normpath(audio)
-        joined = f"{self._folder}/{audio}"
-        return joined if is_url(joined) else os.path.normpath(joined)
-
     def _is_in_out(self, audio: str) -> bool:
         if f"{audio}/".startswith(f"{self.out}/"):
             return True
@@ -139,7 +132,7 @@ class Manifest:
     def _kind(self) -> str:
         """Return the kind of manifest: "folder", "glob", "one" (sound), "csv" or "lines" (JSON)."""
         path = self.address
-        ending = listing.ending_of(path.removesuffix(".gz"))
+        unpacked = path.removesuffix(".gz")
         if self._remote:
             filesystem, inside = self._remote
             try:
@@ -154,39 +147,35 @@ class Manifest:
             self._root, self.is_listing = f"{path}/", True
             return "folder"
         if not there and glob.has_magic(path):
-            self._root, self.is_listing = f"{listing.fixed_part(path)}/", True
+            fixed = takewhile(lambda part: not glob.has_magic(part), path.split("/"))
+            self._root, self.is_listing = f"{'/'.join(fixed)}/", True
             return "glob"
         if not there:
             raise UsageError(f"{self._name} does not exist; give a manifest, a folder or a glob")
-        if ending in listing.SOUNDS:
+        if listing.is_sound(unpacked):
             self._root, self.is_listing = f"{path.rpartition('/')[0]}/", True
             return "one"
-        return "csv" if ending == ".csv" else "lines"
+        return "csv" if Path(unpacked).suffix.lower() == ".csv" else "lines"
 
     def _rows(self, mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
         if self.is_listing:
             yield from ((number, {"audio": audio}) for number, audio in enumerate(self._found(), 1))
             return
         try:
-            with self._opened() as file:
+            with ExitStack() as stack:
+                if self._remote:
+                    filesystem, inside = self._remote
+                    # The `readline` of fsspec's file objects ignores its length limit.
+                    file: Any = io.BufferedReader(stack.enter_context(filesystem.open(inside)))
+                else:
+                    file = stack.enter_context(Path(self.address).open("rb"))
+                if self.address.endswith(".gz"):
+                    file = stack.enter_context(gzip.GzipFile(fileobj=file))
                 rows = self._csv if self._sources == "csv" else self._lines
                 yield from rows(file, mistakes)
         except (OSError, EOFError, UnicodeDecodeError, zlib.error) as error:
             said = scrubbed(getattr(error, "strerror", None) or str(error))
             raise UsageError(f"{self._name} cannot be read ({said})") from None
-
-    @contextmanager
-    def _opened(self) -> Iterator[IO[bytes]]:
-        with ExitStack() as stack:
-            if self._remote:
-                filesystem, inside = self._remote
-                # The `readline` of fsspec's file objects ignores its length limit.
-                raw: Any = io.BufferedReader(stack.enter_context(filesystem.open(inside, "rb")))
-            else:
-                raw = stack.enter_context(Path(self.address).open("rb"))
-            if self.address.endswith(".gz"):
-                raw = stack.enter_context(gzip.GzipFile(fileobj=raw))
-            yield raw
 
     def _lines(self, file: IO[bytes], mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
         for line, text in enumerate(iter(lambda: file.readline(LINE_MAX), b""), 1):
@@ -239,15 +228,16 @@ class Manifest:
             yield self.address
         elif self._remote:
             filesystem, inside = self._remote
-            pattern = self._sources == "glob"
-            names = filesystem.glob(inside) if pattern else filesystem.find(inside)
+            is_glob = self._sources == "glob"
+            names = filesystem.glob(inside) if is_glob else filesystem.find(inside)
             for name in sorted(names):
                 audio = str(filesystem.unstrip_protocol(name))
-                if (pattern or listing.is_sound(name)) and not audio.startswith(f"{self.out}/"):
+                if (is_glob or listing.is_sound(name)) and not audio.startswith(f"{self.out}/"):
                     yield audio
         elif self._sources == "glob":
             paths = listing.walk(self._root.rstrip("/"), self.out)
-            yield from (path for path in paths if listing.matches(path, self.address))
+            pattern = self.address.split("/")
+            yield from (path for path in paths if listing.matches(path.split("/"), pattern))
         else:
             yield from filter(listing.is_sound, listing.walk(self.address, self.out))
 
@@ -264,6 +254,4 @@ class Manifest:
         mistakes.count += max(0, len(again) - SHOWN_MAX)
 
 
-@lru_cache(maxsize=1024)
-def _true_folder(folder: str) -> str:
-    return os.path.realpath(folder)
+_true_folder: Callable[[str], str] = lru_cache(maxsize=1024)(os.path.realpath)

@@ -67,7 +67,12 @@ class VibrationMeter:
     def _take_block(self) -> None:
         block = self._block[: self._filled]
         self._filled = 0
-        self._energy += _weighted_energy(block, self._rate, self._rig)
+        # The time integral of the squared weighted acceleration, m²/s³, by Parseval's theorem. BLAS
+        # is not used, since its threads would compete with other workers.
+        gain = _weighted_gain(self._rig, self._rate, len(block))
+        spectrum = scipy.fft.rfft(block, axis=0)[: len(gain)]
+        squares = spectrum.real**2 + spectrum.imag**2
+        self._energy += (gain[:, None] * squares).sum(axis=0) * (2.0 / (len(block) * self._rate))
         starts = np.arange(0, len(block), self._point_frames)
         high, low = (one.reduceat(block, starts, axis=0) for one in (np.maximum, np.minimum))
         for peak in np.maximum(high, -low).max(axis=1).tolist():
@@ -79,17 +84,6 @@ class VibrationMeter:
             if not self._in_point and len(self._peaks) == 2 * POINTS:
                 self._peaks = [max(self._peaks[n : n + 2]) for n in range(0, 2 * POINTS, 2)]
                 self._fold *= 2
-
-
-def _weighted_energy(block: Float32Array, rate: int, rig: str) -> FloatArray:
-    """Return the time integral of the squared weighted acceleration of each channel, m²/s³."""
-    gain = _weighted_gain(rig, rate, len(block))
-    spectrum = scipy.fft.rfft(block, axis=0)[: len(gain)]
-    squares = spectrum.real**2 + spectrum.imag**2
-    # This uses Parseval's theorem. BLAS is not used, since its threads would compete with other
-    # workers.
-    energy: FloatArray = (gain[:, None] * squares).sum(axis=0) * (2.0 / (len(block) * rate))
-    return energy
 
 
 @lru_cache(maxsize=16)

@@ -1,20 +1,18 @@
 """Options of a run, and the key that shows whether an existing result is still valid."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from functools import cached_property, lru_cache
+from dataclasses import asdict, dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from audioflinger_hook.catalogue.item import Item
+from audioflinger_hook.catalogue.storage import sha256_of
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports.options import FORMATS, ExportOptions
 from audioflinger_hook.transform import TRANSFORM_VERSION
-from device.errors import UsageError
 from device.rig.rig import SHIPPED
 
 VERSION = f"{TRANSFORM_VERSION}.2"  # increase it if results of equal input change
@@ -37,6 +35,7 @@ class Recipe:
     language: str | None = None
     verify: bool = False
     version: str = VERSION
+    _digests: dict[Settings, str] = field(default_factory=dict, init=False, compare=False)
 
     def name(self, item: Item) -> str:
         """Return the name of an item's result within the output folder."""
@@ -65,15 +64,11 @@ class Recipe:
     def _digest_of(self, settings: Settings) -> str:
         known = self._digests
         if settings not in known:
-            files = [_content_of(path) for path in _files_of(settings)]
+            files = [sha256_of(Path(path)) for path in _files_of(settings)]
             document = [self.version, asdict(self.options), asdict(settings), files]
             text = json.dumps(document, sort_keys=True, default=str)
             known[settings] = hashlib.sha256(text.encode()).hexdigest()
         return known[settings]
-
-    @cached_property
-    def _digests(self) -> dict[Settings, str]:
-        return {}
 
 
 @lru_cache(maxsize=64)
@@ -87,10 +82,3 @@ def _files_of(settings: Settings) -> list[str]:
     named = [settings.rig, *(actuator.rig for actuator in settings.actuators)]
     files = [name for name in named if name is not None and name not in SHIPPED]
     return [*files, *([str(settings.effects_file)] if settings.effects_file else [])]
-
-
-def _content_of(path: str) -> str:
-    try:
-        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
-    except OSError as error:
-        raise UsageError(f"{path} cannot be read ({error.strerror})") from error

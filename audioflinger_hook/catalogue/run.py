@@ -1,7 +1,5 @@
 """A run sends batches of items to workers and collects the outcomes."""
 
-from __future__ import annotations
-
 import pickle
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -22,11 +20,6 @@ POLL_S = 2.0  # time between two checks of the number of slots and of the connec
 DEATHS_MAX = 2  # an item fails after this many deaths of workers that ran only this item
 
 Batch = list[Item]
-
-
-def shard_of(items: Iterable[Item], index: int, count: int) -> Iterator[Item]:
-    """Yield every `count`-th item, beginning with item number `index`, counted from 1."""
-    return islice(iter(items), index - 1, None, count)
 
 
 class Run:

@@ -5,8 +5,6 @@ file beside the result, its record, describes it. Before a result is replaced, i
 deleted. The new record is written last, so a record never describes another result.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import secrets
@@ -47,15 +45,6 @@ class Stamp:
 
     size: int | None
     stamp: str
-
-
-@dataclass(frozen=True)
-class Made:
-    """A finished result. size: bytes. stamp: as in `Stamp`. sha256: SHA-256 of its content."""
-
-    size: int
-    stamp: str
-    sha256: str
 
 
 class LocalStorage:
@@ -101,8 +90,11 @@ class LocalStorage:
         with suppress(FileNotFoundError, NotADirectoryError):
             (self._root / name).unlink()
 
-    def put(self, name: str, make: Callable[[Path], T]) -> tuple[T, Made]:
-        """Call `make` to write a file; then delete the old record and rename the file to `name`."""
+    def put(self, name: str, make: Callable[[Path], T]) -> tuple[T, Stamp, str]:
+        """Call `make` to write a file; then delete the old record and rename the file to `name`.
+
+        Return the result of `make`, the file's stamp and its SHA-256.
+        """
         target = self._root / name
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -120,7 +112,7 @@ class LocalStorage:
             raise WriteError(f"cannot write {target}: {error.strerror or error}") from error
         finally:
             part.unlink(missing_ok=True)
-        return result, Made(stamp.size or 0, stamp.stamp, sha256)
+        return result, stamp, sha256
 
     def restamped(self, name: str, sha256: str) -> str | None:
         """Return a file's present `Stamp.stamp` if its SHA-256 equals `sha256`, else None."""
@@ -140,7 +132,7 @@ class LocalStorage:
                 part.unlink(missing_ok=True)
 
 
-class RemoteStorage:
+class _RemoteStorage:
     """A folder at a URL that fsspec knows, with the interface of `LocalStorage`."""
 
     def __init__(self, url: str) -> None:
@@ -149,37 +141,31 @@ class RemoteStorage:
         self._atomic = url.partition("://")[0].lower() in ATOMIC
 
     def prepare(self) -> None:
-        """Make the folder if the storage has folders."""
         with remote_errors(scrubbed(self._url), StorageError):
             self._files.makedirs(self._root, exist_ok=True)
 
     def stamp(self, name: str) -> Stamp | None:
-        """Return the `Stamp` of a file; None if there is no file."""
         with self._errors(name), suppress(FileNotFoundError):
             return _remote_stamp(self._files.info(self._path(name)))
         return None
 
     def read(self, name: str) -> bytes | None:
-        """Return the content of a file; None if there is no file."""
         with self._errors(name), suppress(FileNotFoundError):
             content: bytes = self._files.cat_file(self._path(name))
             return content
         return None
 
     def write(self, name: str, content: bytes) -> None:
-        """Upload a small file."""
         with tempfile.TemporaryDirectory(prefix="cushion-") as folder:
             path = Path(folder) / "upload"
             path.write_bytes(content)
             self._upload(path, name)
 
     def delete(self, name: str) -> None:
-        """Delete a file if it exists."""
         with self._errors(name), suppress(FileNotFoundError):
             self._files.rm_file(self._path(name))
 
-    def put(self, name: str, make: Callable[[Path], T]) -> tuple[T, Made]:
-        """Call `make` to write a temporary file; then delete the old record and upload the file."""
+    def put(self, name: str, make: Callable[[Path], T]) -> tuple[T, Stamp, str]:
         with tempfile.TemporaryDirectory(prefix="cushion-") as folder:
             path = Path(folder) / f"result{PurePosixPath(name).suffix}"
             result = make(path)
@@ -189,7 +175,7 @@ class RemoteStorage:
         found = self.stamp(name)
         if found is None or found.size not in (None, size):
             raise StorageError(f"{self._shown(name)} is not whole after its upload; try again")
-        return result, Made(size, found.stamp, sha256)
+        return result, Stamp(size, found.stamp), sha256
 
     def restamped(self, _name: str, _sha256: str) -> None:
         """Return None: checking the SHA-256 needs a download, so the result is made again."""
@@ -221,12 +207,12 @@ class RemoteStorage:
         return remote_errors(self._shown(name), StorageError)
 
 
-Storage = LocalStorage | RemoteStorage
+Storage = LocalStorage | _RemoteStorage
 
 
 def storage_of(address: str) -> Storage:
     """Return the storage at an address. address: result of `parse_address`."""
-    return RemoteStorage(address) if is_url(address) else LocalStorage(Path(address))
+    return _RemoteStorage(address) if is_url(address) else LocalStorage(Path(address))
 
 
 def identity_of(audio: str) -> Stamp | None:
@@ -260,6 +246,14 @@ def digest(path: Path) -> str:
     """Return the SHA-256 of a file's content. OSError: the file cannot be read."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a user's file. UsageError: the file cannot be read."""
+    try:
+        return digest(path)
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read ({error.strerror})") from error
 
 
 def _local_stamp(path: Path) -> Stamp:

@@ -1,10 +1,9 @@
 """The report of a run: counts; slowest, unusual and failed items; a page of pictures."""
 
-from __future__ import annotations
-
 import heapq
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -122,35 +121,30 @@ def _descending(heap: list[Ranked]) -> list[Ranked]:
     return sorted(heap, reverse=True)
 
 
-class Failures:
+class Failures(AbstractContextManager["Failures"]):
     """Collects the failed items as a manifest, in a temporary file. A context manager."""
 
     def __init__(self) -> None:
         self._file = NamedTemporaryFile("w", encoding="ascii", prefix="cushion-")  # noqa: SIM115
-        self.count = 0
 
     def add(self, outcome: Outcome) -> None:
         """Add an item that failed."""
         row = {**outcome.item.row(), "error": outcome.error, "exit_code": outcome.exit_code}
         self._file.write(json.dumps(row) + "\n")
-        self.count += 1
 
     def save(self, storage: Storage, name: str) -> None:
         """Store the manifest as `name`. If no item failed, delete an earlier run's manifest."""
-        if not self.count:
+        if not self._file.tell():
             storage.delete(name)
             return
         self._file.flush()
         storage.put(name, lambda path: copyfile(self._file.name, path))
 
-    def __enter__(self) -> Failures:
-        return self
-
     def __exit__(self, *_error: object) -> None:
         self._file.close()
 
 
-class Page:
+class Page(AbstractContextManager["Page"]):
     """Collects the pictures of a run in temporary files. A context manager."""
 
     def __init__(self) -> None:
@@ -187,9 +181,6 @@ class Page:
             if self._left_out:
                 file.write(f"<p>{self._left_out} more items have no picture here.</p>\n".encode())
         return path
-
-    def __enter__(self) -> Page:
-        return self
 
     def __exit__(self, *_error: object) -> None:
         self._ordinary.close()

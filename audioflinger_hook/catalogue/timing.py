@@ -1,7 +1,5 @@
 """The clock of a run, and retries of failed I/O after a delay."""
 
-from __future__ import annotations
-
 import errno
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Processes one item: renders its vibration, unless a valid result exists already."""
 
-from __future__ import annotations
-
 import errno
 import json
 import math
@@ -21,9 +19,9 @@ from audioflinger_hook.catalogue.recipe import VERSION, Recipe
 from audioflinger_hook.catalogue.storage import (
     RECORD,
     Storage,
-    digest,
     identity_of,
     local_copy,
+    sha256_of,
     storage_of,
 )
 from audioflinger_hook.catalogue.timing import Timing, has_errno
@@ -105,36 +103,34 @@ def status_of(recipe: Recipe, items: Iterable[Item], timing: Timing) -> Iterator
     for item in items:
         name = recipe.name(item)
         try:
-            key, record = timing.repeated(lambda: _record_of(recipe, item, storage))  # noqa: B023
+            key = timing.repeated(lambda: _key(recipe, item))  # noqa: B023
         except CushionError as error:
             yield ItemStatus("unreadable", str(error))
             continue
-        if record:
-            yield ItemStatus("done")
-        elif key is None or storage.stamp(name) or storage.stamp(name + RECORD):
-            yield ItemStatus("outdated")
-        else:
-            yield ItemStatus("missing")
+        try:
+            yield timing.repeated(lambda: _status_with(storage, name, key))  # noqa: B023
+        except OSError as error:
+            raise UsageError(f"{recipe.out}/{name} cannot be read ({error.strerror})") from error
 
 
-def _record_of(recipe: Recipe, item: Item, storage: Storage) -> tuple[str | None, dict[str, Any]]:
-    """Return the key of a valid result of the item, and the record of that result.
-
-    The key is None if known only after a download. The record is empty without a valid result.
-    """
-    key = _key(recipe, item)
-    return key, {} if key is None else _right_record(storage, recipe.name(item), key)
+def _status_with(storage: Storage, name: str, key: str | None) -> ItemStatus:
+    """Return the status of an item whose sound is readable. key: see `_key`."""
+    if key is not None and _right_record(storage, name, key):
+        return ItemStatus("done")
+    if key is None or storage.stamp(name) or storage.stamp(name + RECORD):
+        return ItemStatus("outdated")
+    return ItemStatus("missing")
 
 
 def _do(recipe: Recipe, item: Item, timing: Timing) -> tuple[State, dict[str, Any]]:
     storage = _cached_storage(recipe.out)
-    key, record = _record_of(recipe, item, storage)
-    if record:
+    key, name = _key(recipe, item), recipe.name(item)
+    if key is not None and (record := _right_record(storage, name, key)):
         return "skipped", record
     with local_copy(item.audio) as path:
         if key is None:
-            key = recipe.key(item, {"sha256": _sha256_of(path)})
-            if record := _right_record(storage, recipe.name(item), key):
+            key = recipe.key(item, {"sha256": sha256_of(path)})
+            if record := _right_record(storage, name, key):
                 return "skipped", record
         return "rendered", _render(recipe, item, storage, path, key, timing)
 
@@ -157,7 +153,7 @@ def _render(
         return {**found, **meter.measures()}
 
     try:
-        figures, made = storage.put(name, make)
+        figures, made, sha256 = storage.put(name, make)
     except CushionError as error:
         if is_url(item.audio) and str(path) in str(error):
             # The user knows the URL, not the temporary copy.
@@ -168,7 +164,7 @@ def _render(
         "version": VERSION,
         "audio": item.audio,
         "bytes": made.size,
-        "sha256": made.sha256,
+        "sha256": sha256,
         "stamp": made.stamp,
         "profile": settings.profile,
         **{name: _finite(value) for name, value in figures.items()},
@@ -214,22 +210,16 @@ def _open(path: Path, item: Item, recipe: Recipe) -> tuple[SteadyTap, int]:
 
 
 def _key(recipe: Recipe, item: Item) -> str | None:
+    """Return the key of the item's present result; None if known only after a download."""
     if recipe.verify:
         if is_url(item.audio):
             return None
-        return recipe.key(item, {"sha256": _sha256_of(Path(item.audio))})
+        return recipe.key(item, {"sha256": sha256_of(Path(item.audio))})
     found = identity_of(item.audio)
     if found is None:
         FileTap(Path(item.audio)).close()  # raises an error that states the reason
         raise UsageError(f"{item.audio} cannot be read; check the path")
     return recipe.key(item, {"audio": item.audio, "size": found.size, "stamp": found.stamp})
-
-
-def _sha256_of(path: Path) -> str:
-    try:
-        return digest(path)
-    except OSError as error:
-        raise UsageError(f"{path} cannot be read ({error.strerror})") from error
 
 
 def _right_record(storage: Storage, name: str, key: str) -> dict[str, Any]:

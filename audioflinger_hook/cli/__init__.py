@@ -25,7 +25,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code: 0, 2 to 5, or 130. Errors are printed on stderr."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     debug = "--debug" in arguments
-    _end_softly()
+    # SIGTERM, and SIGHUP unless `nohup` ignores it, close all files, as Ctrl+C does.
+    signal.signal(signal.SIGTERM, _interrupt)
+    repeat_lost_interruptions()
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, _interrupt)
     _prepare_streams()
     try:
         code = _run(arguments)
@@ -96,14 +100,6 @@ def _report(error: CushionError, debug: bool) -> int:
     with contextlib.suppress(OSError):  # stderr may be closed
         print(f"cushion: error: {error}", file=sys.stderr, flush=True)
     return error.exit_code
-
-
-def _end_softly() -> None:
-    """Make SIGTERM, and SIGHUP unless ignored, raise KeyboardInterrupt, so all files are closed."""
-    signal.signal(signal.SIGTERM, _interrupt)
-    repeat_lost_interruptions()
-    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # `nohup` ignores SIGHUP
-        signal.signal(signal.SIGHUP, _interrupt)
 
 
 def _interrupt(number: int, _frame: FrameType | None) -> None:

@@ -1,11 +1,9 @@
 """The argument parser of the commands, types of arguments, and options that commands share."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
@@ -43,9 +41,7 @@ class Parser(argparse.ArgumentParser):
             place = given.index("--")
             names = (f"./{name}" if name.startswith("-") else name for name in given[place + 1 :])
             given = [*given[:place], *names]
-        self.any_order = (
-            False  # the parser calls this method again for the options and for the rest
-        )
+        self.any_order = False  # the parser calls this method again, for options and the rest
         try:
             return self.parse_known_intermixed_args(given, namespace)
         finally:
@@ -53,11 +49,11 @@ class Parser(argparse.ArgumentParser):
 
     def add_value(
         self, flag: str, kind: Any, metavar: str, meaning: str, default: object = None
-    ) -> None:
-        """Add an option with a value. The help of the option states the default if there is one."""
+    ) -> argparse.Action:
+        """Add an option with a value; return it. Its help states the default if there is one."""
         shown = f"{default:g}" if isinstance(default, float) else default
         described = meaning if default is None else f"{meaning}; default: {shown}"
-        self.add_argument(flag, type=kind, default=default, metavar=metavar, help=described)
+        return self.add_argument(flag, type=kind, default=default, metavar=metavar, help=described)
 
     def add_switch(self, flag: str, meaning: str) -> None:
         """Add an option without a value."""
@@ -81,7 +77,8 @@ class Parser(argparse.ArgumentParser):
             if isinstance(key.description, Switch):
                 kind = {"action": "store_true", "default": None}
             elif isinstance(key.description, Number):
-                kind["type"] = number_or_off if key.description.off else float
+                word = key.description.word
+                kind["type"] = number_or(word) if word else float
             self.add_argument(key.flag, dest=key.field, help=key.help, **kind, **more)
 
     def add_profile(self, *, live: bool) -> None:
@@ -141,6 +138,12 @@ def join_lists(arguments: Sequence[str]) -> list[str]:
     return joined
 
 
+def given_values(options: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
+    """Return those options among `names` that the user gave, with their values."""
+    values = {name: getattr(options, name) for name in names}
+    return {name: value for name, value in values.items() if value is not None}
+
+
 def _read(kind: Callable[[str], T], text: str, problem: str) -> T:
     """Return `kind(text)`. ArgumentTypeError: `kind` raised ValueError for this text."""
     try:
@@ -154,9 +157,9 @@ def count(text: str) -> int:
     return _read(int, text, "not a whole number")
 
 
-def number_or_off(text: str) -> float | str:
-    """Parse a number, or return "off"."""
-    return text if text == "off" else _read(float, text, "neither a number nor off")
+def number_or(word: str) -> Callable[[str], float | str]:
+    """Return a function that parses a number, or returns the word."""
+    return lambda text: text if text == word else _read(float, text, f"neither a number nor {word}")
 
 
 def seconds(text: str) -> float:

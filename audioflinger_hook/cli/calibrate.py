@@ -1,21 +1,19 @@
 """`cushion calibrate`: identifies a rig's values with sweeps, and can write a rig file."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from pathlib import Path
 
 from audioflinger_hook.cli.terminal import progress_bar, warn
 from device.address import parse_device
+from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError
 from device.identification.acceleration import Mode
 from device.identification.calibration import STEPS, Calibration, calibrate
 from device.identification.live.laboratory import Devices
-from device.identification.mechanics import write_rig
+from device.identification.mechanics import format_rig
 from device.identification.output_error import Estimate
 from device.identification.recording import Sweep
 from device.identification.simulated_laboratory import USUAL_SHARE, SimulatedLaboratory
@@ -38,7 +36,10 @@ def run(options: argparse.Namespace) -> int:
     """Identify the rig with sweeps of increasing level. An error ends the sequence of sweeps."""
     device = parse_device(options.device)
     rig = rig_by_name(options.rig)
-    _check_out(options.out)
+    if (out := options.out) and out.suffix != ".toml":
+        raise UsageError(f"out={out}: a rig's file ends in .toml, so that --rig accepts it")
+    if out and not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
+        raise UsageError(f"out={out}: the folder {out.parent} cannot be written; choose another")
     sweep = Sweep(low_hz=options.low_hz, high_hz=options.high_hz, duration_s=options.seconds)
     devices = None
     with progress_bar(f"sweeps of {sweep.low_hz:g} to {sweep.high_hz:g} Hz") as show:
@@ -78,16 +79,9 @@ class Progress:
         self._show(self._begun - 1 + share, len(STEPS) + 1)
 
 
-def _check_out(path: Path | None) -> None:
-    if path and path.suffix != ".toml":
-        raise UsageError(f"out={path}: a rig's file ends in .toml, so that --rig accepts it")
-    if path and not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
-        raise UsageError(f"out={path}: the folder {path.parent} cannot be written; choose another")
-
-
 def _end(found: Calibration, rig: Rig, devices: Devices | None, options: argparse.Namespace) -> int:
     if options.out and found.rig:
-        write_rig(found.rig, options.out)
+        write_bytes_atomically(options.out, format_rig(found.rig).encode())
     if options.json:
         print(json.dumps(document(found, rig, devices), indent=2))
     else:

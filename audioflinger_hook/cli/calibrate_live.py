@@ -1,7 +1,5 @@
 """`cushion calibrate` on real devices: opens the devices, and limits the level of the sweeps."""
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable
@@ -28,9 +26,10 @@ from device.identification.output_error import Estimate
 from device.identification.recording import Sweep
 from device.identification.simulated_laboratory import LARGEST_SHARE, sweep_at_excursion
 from device.rig import Rig
-from device.server import PulseConnection, ServerSnapshot
+from device.server import PulseConnection
 from device.server.guard import FallbackSink, Hold, StreamGuard
 from device.server.identity import find_source, is_cushion_stream
+from device.server.snapshot import Sink, Source
 from device.stream import PcmConfig, filter_stderr
 from device.stream.pcms import ServerDevice, Target
 from device.stream.sample_format import SampleFormat
@@ -51,12 +50,8 @@ class StreamEndpoint:
     target: Target
     name: str  # name in messages
     channels: int
+    connection: PulseConnection | None = None  # to a server, which could move the stream
     sample_format: SampleFormat = SampleFormat.FLOAT32
-
-    @property
-    def guarded(self) -> bool:
-        """Whether the stream is on a sound server, which could move it to another device."""
-        return isinstance(self.target, ServerDevice)
 
 
 @dataclass
@@ -67,7 +62,6 @@ class MeasurementStreams:
     output: StreamEndpoint
     source: StreamEndpoint
     samplerate: int
-    connection: PulseConnection | None  # None if no stream is on a server
     progress: Callable[[float], None] = lambda share: None  # called repeatedly during a measurement
 
     def run(self, exchange: Exchange) -> None:
@@ -75,8 +69,8 @@ class MeasurementStreams:
         with ExitStack() as stack:
             rate, out, source = self.samplerate, self.output, self.source
             # The fallback sink closes last, so that every exit, including Ctrl+C, leaves silence.
-            if out.guarded and self.connection is not None:
-                stack.callback(FallbackSink(self.connection).close)
+            if out.connection:
+                stack.callback(FallbackSink(out.connection).close)
             outward, inward = self.pcms.pcms[OUTPUT], self.pcms.pcms[INPUT]
             outward.target, inward.target = out.target, source.target
             playback = PlaybackStream(
@@ -94,38 +88,31 @@ class MeasurementStreams:
             stack.callback(capture.close)
             guards = []
             for stream, endpoint in ((playback, out), (capture, source)):
-                if endpoint.guarded and self.connection is not None:
-                    guard = StreamGuard(self.connection, stream, endpoint.name, any_source=True)
+                if endpoint.connection:
+                    guard = StreamGuard(endpoint.connection, stream, endpoint.name, any_source=True)
                     stack.callback(guard.release)
                     guards.append(guard)
                 else:
                     stream.audible = True
             stack.callback(exchange.abort, LostError("the measurement was aborted"))
-            watch = _Watch((playback, capture), guards, (out.name, source.name))
-            watch.settle(exchange)
+            self._streams, self._guards = (playback, capture), guards
+            self._settle(exchange)
             while not exchange.ended.wait(_POLL_S):
-                if error := watch.problem(time.monotonic()):
+                if error := self._problem(time.monotonic()):
                     exchange.abort(error)
                 self.progress(exchange.share_recorded)
 
-
-@dataclass
-class _Watch:
-    streams: tuple[PlaybackStream, CaptureStream]
-    guards: list[StreamGuard]
-    names: tuple[str, str]
-
-    def settle(self, exchange: Exchange) -> None:
+    def _settle(self, exchange: Exchange) -> None:
         """Start the sweep when both streams run. LostError: one does not run within SETTLE_S."""
         limit_s = time.monotonic() + SETTLE_S
         while not (
-            all(guard.hold.audible for guard in self.guards)
-            and all(stream.callbacks > 3 for stream in self.streams)
+            all(guard.hold.audible for guard in self._guards)
+            and all(stream.callbacks > 3 for stream in self._streams)
         ):
             if time.monotonic() > limit_s:
-                held = [guard.hold.value for guard in self.guards if not guard.hold.audible]
+                held = [guard.hold.value for guard in self._guards if not guard.hold.audible]
                 raise LostError(
-                    f"{' and '.join(self.names)} do not run after {SETTLE_S:g} s "
+                    f"{self.output.name} and {self.source.name} do not run after {SETTLE_S:g} s "
                     f"({', '.join(held) or 'a device delivers nothing'}); check both, and try again"
                 )
             exchange.ended.wait(_POLL_S)
@@ -133,17 +120,18 @@ class _Watch:
         exchange.begin()
 
     def _counts(self) -> list[tuple[int, int, int]]:
-        return [(s.xruns, s.silenced, sum(s.errors.values())) for s in self.streams]
+        return [(s.xruns, s.silenced, sum(s.errors.values())) for s in self._streams]
 
-    def problem(self, now_s: float) -> CushionError | None:
+    def _problem(self, now_s: float) -> CushionError | None:
         """Return the error that ends the measurement, or None."""
-        for guard in self.guards:
+        for guard in self._guards:
             if guard.hold is Hold.NO_STREAM:  # for a moment after a late block, too
                 why = f"{guard.hold.value}; plug the device in"
                 return BrokenStreamError(f"the sweep ended: {why}, and repeat")
             if not guard.hold.audible:
                 return LostError(f"the sweep ended: {guard.hold.value}; plug it in, and repeat")
-        each = zip(self.streams, self.names, self._before, self._counts(), strict=True)
+        names = self.output.name, self.source.name
+        each = zip(self._streams, names, self._before, self._counts(), strict=True)
         for stream, name, before, now in each:
             if stream.is_lost(now_s):
                 return LostError(f"{name} went away during the sweep; plug it in again, and repeat")
@@ -208,15 +196,14 @@ def calibrate_live(
         connection = None
         if device.kind != "hw" or source.startswith("source:"):
             connection = stack.enter_context(closing(PulseConnection()))
-        snapshot = connection.latest if connection else None
-        output, rate = _output(device, snapshot)
-        heard, rate = _input(source, snapshot, len(inputs.names), output, rate)
+        output, rate = _output(device, connection)
+        heard, rate = _input(source, connection, len(inputs.names), output, rate)
         channel = options.output_channel
         if not 1 <= channel <= output.channels:
             raise UsageError(f"output-channel={channel}: {output.name} has 1 to {output.channels}")
         unused = [UNUSED] * (heard.channels - len(inputs.names))
         inputs = replace(inputs, names=(*inputs.names, *unused))
-        transport = MeasurementStreams(pcms, output, heard, rate, connection, progress.within)
+        transport = MeasurementStreams(pcms, output, heard, rate, progress.within)
         laboratory = LiveLaboratory(transport, inputs, channel - 1, rig.amplifier)
         found = calibrate(
             laboratory,
@@ -277,33 +264,39 @@ def levelled(rig: Rig, sweep: Sweep, options: argparse.Namespace) -> Sweep:
     return sweep
 
 
-def _output(device: DeviceAddress, snapshot: ServerSnapshot | None) -> tuple[StreamEndpoint, int]:
+def _output(
+    device: DeviceAddress, connection: PulseConnection | None
+) -> tuple[StreamEndpoint, int]:
     """Return the device that plays the sweep, and its sample rate in Hz."""
     if device.kind == "hw":
         playback = find_playback(device.name)
         card, choice = free_card(playback, RATE_HZ, 1)
-        output = StreamEndpoint(card, str(playback), choice.channels, choice.sample_format)
+        name, sample_format = str(playback), choice.sample_format
+        output = StreamEndpoint(card, name, choice.channels, sample_format=sample_format)
         return output, choice.samplerate
-    assert snapshot is not None
-    sink = device.sink(snapshot)
+    assert connection is not None
+    sink = device.sink(connection.latest)
     others = [
         "cushion run" if is_cushion_stream(stream) else stream.application or "another program"
-        for stream in snapshot.sink_inputs
-        if stream.device_name == sink.name and not stream.corked
+        for stream in connection.latest.playing_to(sink.name)
     ]
     if others:
         raise UsageError(f"{', '.join(others)} plays to {sink.name!r}; end it first")
-    return StreamEndpoint(ServerDevice(sink.name), sink.name, sink.channels), RATE_HZ
+    return _on_server(sink, connection), RATE_HZ
+
+
+def _on_server(device: Sink | Source, connection: PulseConnection) -> StreamEndpoint:
+    return StreamEndpoint(ServerDevice(device.name), device.name, device.channels, connection)
 
 
 def _input(
-    source: str, snapshot: ServerSnapshot | None, needed: int, output: StreamEndpoint, rate: int
+    source: str, connection: PulseConnection | None, needed: int, output: StreamEndpoint, rate: int
 ) -> tuple[StreamEndpoint, int]:
     """Return the device that records, and the sample rate of both devices in Hz."""
     kind, _, name = source.partition(":")
     if kind == "source":
-        assert snapshot is not None
-        found = find_source(snapshot, name)
+        assert connection is not None
+        found = find_source(connection.latest, name)
         if found.monitor_of == output.name:
             raise UsageError(
                 f"input {source!r} is the monitor of the output itself, not of the cushion; "
@@ -323,10 +316,10 @@ def _input(
                 f"the sound server mixes the channels {found.channel_map} of input {source!r}; "
                 "name the card itself, as hw:CARD, or choose another profile of it"
             )
-        return StreamEndpoint(ServerDevice(found.name), found.name, found.channels), rate
+        return _on_server(found, connection), rate
     capture = find_capture(name)
     card, choice = free_card(capture, rate, needed, needed)
-    if choice.samplerate != rate and not output.guarded:
+    if choice.samplerate != rate and output.connection is None:
         raise UsageError(
             f"{output.name} plays at {rate} Hz and {capture} records at {choice.samplerate} Hz; "
             "name the sound server's sink or source for one of them"

@@ -1,7 +1,5 @@
 """`cushion catalogue`: writes the vibration of all sounds in a library, or shows the progress."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import re
@@ -10,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from itertools import islice
 
 from audioflinger_hook.catalogue.addresses import parse_address, scrubbed
 from audioflinger_hook.catalogue.cluster import LOCAL_CLUSTER, DaskCluster
@@ -17,7 +16,7 @@ from audioflinger_hook.catalogue.item import Item
 from audioflinger_hook.catalogue.listing import is_same
 from audioflinger_hook.catalogue.manifest import Manifest
 from audioflinger_hook.catalogue.recipe import Recipe
-from audioflinger_hook.catalogue.run import Run, shard_of
+from audioflinger_hook.catalogue.run import Run
 from audioflinger_hook.catalogue.storage import storage_of
 from audioflinger_hook.catalogue.summary import Failures, Page, Summary
 from audioflinger_hook.catalogue.timing import Timing
@@ -43,7 +42,8 @@ class _Job:
     shard: tuple[int, int]
 
     def items(self) -> Iterator[Item]:
-        return shard_of(self.manifest.items(), *self.shard)
+        index, count = self.shard
+        return islice(self.manifest.items(), index - 1, None, count)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -1,7 +1,5 @@
 """`cushion demo`: computes the vibration of a built-in scene, writes files and prints a table."""
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Mapping
@@ -17,7 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from audioflinger_hook.cli.render import given_values
+from audioflinger_hook.cli.arguments import given_values
 from audioflinger_hook.cli.terminal import LineConsole, as_typed, level_text, warn
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.inspection import inspect_tap
@@ -52,6 +50,10 @@ Block = NDArray[np.floating[Any]]
 class Played:
     """Data for the demo's table and picture."""
 
+    scene: Scene
+    sound: NDArray[np.float32]
+    framework: Framework
+    rig: SimulatedRig
     vibration: list[NDArray[np.float32]] = field(default_factory=list)
     acceleration: list[NDArray[np.float64]] = field(default_factory=list)
     buffer_s: list[float] = field(default_factory=list)
@@ -67,7 +69,6 @@ def run(options: argparse.Namespace) -> int:
         settings = replace(settings, parameters=replace(settings.parameters, strength="rig"))
     _make_folder(out)
     scene = demo_scene()
-    sound = mixdown(scene)
     framework = Framework(scene.samplerate, scene.channels, settings)
     for warning in framework.warnings:
         warn(warning)
@@ -83,9 +84,10 @@ def run(options: argparse.Namespace) -> int:
     faded = [FadedOutput(output, round(FADE_S * rate)) for output in outputs]
     aligned = [AlignedOutput(output, latency) for output in faded]
     chain = Pipeline(SceneClient(scene, BLOCKSIZE_FRAMES), framework, aligned)
+    played = Played(scene, mixdown(scene), framework, rig)
     try:
-        heard.write(sound)
-        played = _play(chain, scene, rig, fast=options.fast)
+        heard.write(played.sound)
+        _play(chain, played, fast=options.fast)
         heard.close()
         chain.close()
         played.acceleration.append(rig.acceleration_m_s2)
@@ -93,14 +95,19 @@ def run(options: argparse.Namespace) -> int:
         heard.abort()
         chain.abort()
         raise
-    values = _main_values(framework, rig, played)
+    peak = max(float(np.abs(block).max(initial=0.0)) for block in played.vibration)
+    values = {
+        "latency of the transform": f"{framework.latency_s * 1e3:.1f} ms",
+        "vibration, peak": level_text(peak),
+        "acceleration, peak": f"{rig.peak_acceleration_m_s2:.1f} m/s² (predicted)",
+    }
     drawn = True
     try:
-        write_bytes_atomically(picture, _picture(scene, sound, played, framework, values))
+        write_bytes_atomically(picture, _picture(played, values))
     except ImportError:
         warn("no report.png: matplotlib is not installed; `pip install matplotlib` brings it")
         drawn = False
-    _print_table(out, framework, rig, played, values, drawn)
+    _print_table(out, played, values, drawn)
     print(f"to feel your own sound, type: {as_typed('setup')}")
     return 0
 
@@ -115,9 +122,9 @@ def _make_folder(out: Path) -> None:
         raise UsageError(f"{what}; name another with --out") from None
 
 
-def _play(chain: Pipeline, scene: Scene, rig: SimulatedRig, *, fast: bool) -> Played:
+def _play(chain: Pipeline, played: Played, *, fast: bool) -> None:
     """Process the whole scene and show the levels, in real time unless `fast` is set."""
-    played = Played()
+    scene, rig = played.scene, played.rig
     pace = RealTimePace(scene.samplerate, time.monotonic())
     frames = 0
     with Meter(scene, LineConsole(stderr=True)) as meter:
@@ -132,18 +139,12 @@ def _play(chain: Pipeline, scene: Scene, rig: SimulatedRig, *, fast: bool) -> Pl
             if not fast:
                 time.sleep(pace.wait_s(frames, time.monotonic()))
             began = time.thread_time()
-    return played
 
 
-def _picture(
-    scene: Scene,
-    sound: NDArray[np.float32],
-    played: Played,
-    framework: Framework,
-    values: Mapping[str, str],
-) -> bytes:
+def _picture(played: Played, values: Mapping[str, str]) -> bytes:
     from audioflinger_hook.figures.report import report_png
 
+    scene, sound, framework = played.scene, played.sound, played.framework
     settings = framework.settings
     frames = scene.frame_count
     latency = framework.latency_frames
@@ -175,23 +176,8 @@ def _picture(
     )
 
 
-def _main_values(framework: Framework, rig: SimulatedRig, played: Played) -> dict[str, str]:
-    peak = max(float(np.abs(block).max(initial=0.0)) for block in played.vibration)
-    return {
-        "latency of the transform": f"{framework.latency_s * 1e3:.1f} ms",
-        "vibration, peak": level_text(peak),
-        "acceleration, peak": f"{rig.peak_acceleration_m_s2:.1f} m/s² (predicted)",
-    }
-
-
-def _print_table(
-    out: Path,
-    framework: Framework,
-    rig: SimulatedRig,
-    played: Played,
-    values: Mapping[str, str],
-    drawn: bool,
-) -> None:
+def _print_table(out: Path, played: Played, values: Mapping[str, str], drawn: bool) -> None:
+    framework, rig = played.framework, played.rig
     buffer_ms = np.array(played.buffer_s) * 1e3
     buffer_length_ms = BLOCKSIZE_FRAMES / framework.samplerate * 1e3
     median, tail, worst = np.percentile(buffer_ms, (50, 99, 100))
@@ -240,7 +226,7 @@ class Meter:
         self._probe = np.exp(-2j * np.pi * SPECTRUM_BANDS_HZ[:, None] * times_s)
         self._probe *= np.hanning(self._recent.size) * (4.0 / self._recent.size)
 
-    def __enter__(self) -> Meter:
+    def __enter__(self) -> "Meter":
         if self._on:
             self._live.start()
         return self

@@ -1,7 +1,5 @@
 """`cushion devices`: lists sinks, USB devices, sound cards, and applications that play sound."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Iterable
@@ -23,7 +21,7 @@ from device.server.identity import identity_of
 from device.stream import filter_stderr
 from device.usb import Found, UsbAudioDevice, find_devices, identify
 from device.usb.descriptors import parse_whole, playback_formats
-from device.usb.mapping import hw_names, sinks_of
+from device.usb.mapping import device_of_sink, hw_names
 
 
 def run(options: argparse.Namespace) -> int:
@@ -66,7 +64,7 @@ def _usb(device: UsbAudioDevice, found: Found, snapshot: ServerSnapshot | None) 
     except CushionError as error:
         trouble = str(error)
     units = playback_formats(configuration) if configuration else ()
-    sinks = sinks_of(device, snapshot.sinks, found.devices) if snapshot else ()
+    sinks = snapshot.sinks if snapshot else ()
     return {
         "device": str(identify(device, found.devices)),
         "manufacturer": device.manufacturer,
@@ -83,7 +81,7 @@ def _usb(device: UsbAudioDevice, found: Found, snapshot: ServerSnapshot | None) 
         "max_power_ma": device.max_power_ma,
         "drivers": sorted({each.driver for each in device.interfaces if each.driver}),
         "hw": list(hw_names(device)),
-        "sinks": [sink.name for sink in sinks],
+        "sinks": [one.name for one in sinks if device_of_sink(one, found.devices) == device],
         "problem": trouble,
     }
 

@@ -1,7 +1,5 @@
 """`cushion export`: writes the vibration of a sound file in a format of other haptic tools."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json

@@ -1,10 +1,9 @@
 """`cushion inspect`: lists the principal frequencies of each unit (analysis window) of a sound."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json
+from itertools import chain
 
 from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.offline.inspection import Unit, inspect_file
@@ -22,13 +21,12 @@ def run(options: argparse.Namespace) -> int:
     first = next(units, None)  # raises errors before anything is printed
     print("[" if as_json else HEADER)
     separator = ""
-    while first is not None:
+    for unit in chain([first] if first else [], units):
         if as_json:
-            print(separator + json.dumps(dataclasses.asdict(first)), end="")
+            print(separator + json.dumps(dataclasses.asdict(unit)), end="")
             separator = ",\n"
         else:
-            print(_rows(first))
-        first = next(units, None)
+            print(_rows(unit))
     if as_json:
         print("\n]")
     return 0

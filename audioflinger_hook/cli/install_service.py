@@ -1,13 +1,11 @@
 """`cushion install-service`: installs a systemd user unit that starts the daemon at login."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 
 from audioflinger_hook.config import file as config
-from audioflinger_hook.config.profiles import LIVE_DEFAULT
-from audioflinger_hook.service.install import UDEV_COMMAND, install, remove, systemd_version
+from audioflinger_hook.service import autostart
+from audioflinger_hook.service.install import UDEV_COMMAND, install, restore, systemd_version
 from audioflinger_hook.sources import parse_tap
 from device.address import parse_device
 from device.errors import UsageError
@@ -15,17 +13,18 @@ from device.errors import UsageError
 
 def run(options: argparse.Namespace) -> int:
     """Write or remove the unit, and print the commands that the user must run next."""
-    if options.udev and options.device is None and not _config_names_a_device():
+    if options.udev and options.device is None and not config.names_a_device():
         _print_udev()
         return 0
     if options.remove:
-        done = remove()
+        autostart.set_on(False)
+        done = restore(None)
         print(f"{done.path}: {'removed' if done.changed else 'was not installed'}")
     else:
         arguments = ["--wait"]
         if options.device is not None:
             arguments += ["--device", str(parse_device(options.device))]
-        elif not _config_names_a_device():
+        elif not config.names_a_device():
             raise UsageError(
                 "no device given; name it with --device, or with the key device in "
                 f"{config.default_path()}; `cushion devices` lists them"
@@ -45,8 +44,3 @@ def run(options: argparse.Namespace) -> int:
 def _print_udev() -> None:
     print("to let this user control USB sound devices, type as root:")
     print(UDEV_COMMAND)
-
-
-def _config_names_a_device() -> bool:
-    path = config.default_path()
-    return path.exists() and config.load(path, LIVE_DEFAULT).live.device is not None

@@ -1,16 +1,15 @@
 """`cushion monitor`: serves the live page of a running daemon to browsers."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
+import fcntl
 import html
 import os
 import signal
 import sys
 import webbrowser
 from collections.abc import Coroutine
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import Any
 
 from audioflinger_hook.cli.terminal import warn
@@ -19,13 +18,12 @@ from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError, not_installed
 
 OPENER = "page.html"
-"""A file, readable only by the user, that redirects a browser to the page. The browser's arguments
-name this file instead of the address with the token, because other users can read the arguments.
-"""
+"""A private file that redirects a browser to the page. The browser's arguments, which other users
+can read, name this file instead of the address with the token."""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Serve the page until a signal arrives."""
+    """Serve the page until a signal arrives. If it is served already, only show it."""
     try:
         from audioflinger_hook.monitor.access import LOOPBACK, Listen, load_token
         from audioflinger_hook.monitor.server import PageServer
@@ -34,7 +32,7 @@ def run(options: argparse.Namespace) -> int:
     listen = Listen.parse(options.listen)
     if not 1.0 <= options.rate <= 60.0:
         raise UsageError(f"rate={options.rate:.12g} is out of range; allowed: 1 to 60 Hz")
-    with RuntimeFolder(os.environ, create=True) as folder:
+    with RuntimeFolder(os.environ, create=True) as folder, ExitStack() as stack:
         token = load_token(folder)
         server = PageServer(listen, token, options.rate, os.environ)
 
@@ -51,6 +49,14 @@ def run(options: argparse.Namespace) -> int:
                 if not webbrowser.open(path.as_uri()):
                     warn("no browser could be started; open this address in one")
 
+        name = f"{listen.shown_host}:{listen.port}"
+        try:  # as long as a page is served at this address, its process locks a file
+            lock = stack.enter_context((folder.path / f"page.{name}").open("w"))
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:  # other errors: a second page does not find this one
+            if isinstance(error, BlockingIOError) and listen.port:
+                tell(f"http://{name}/#{token}")
+                return 0
         asyncio.run(_until_signal(server.run(tell)))
     return 0
 

@@ -1,7 +1,5 @@
 """Lists outputs that can play vibration, the most suitable first. The functions do no I/O."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -36,9 +34,7 @@ class Output:
 
 
 def list_outputs(
-    snapshot: ServerSnapshot,
-    devices: Sequence[UsbAudioDevice],
-    playbacks: Iterable[AlsaDevice],
+    snapshot: ServerSnapshot, devices: Sequence[UsbAudioDevice], playbacks: Iterable[AlsaDevice]
 ) -> list[Output]:
     """Return all sinks except this program's own, and all sound cards that no sink uses."""
     sinks = [sink for sink in snapshot.sinks if sink.name not in OWN_SINKS]

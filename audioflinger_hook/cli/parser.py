@@ -1,7 +1,5 @@
 """The commands of the command line, with their options and help texts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -15,9 +13,9 @@ NEXT = (
 )
 DESCRIPTION = "Feel what a computer plays: sound in, vibration of 20-220 Hz out."
 EXIT_CODES = (
-    "exit codes: 0 done; 2 wrong usage, config or input; 3 no such tap or device, or no running "
-    "daemon; 4 the sound server is missing, or server or device was lost; 5 internal error, full "
-    "disk or write failure; 130 interrupted"
+    "exit codes: 0 done; 1 doctor found something; 2 wrong usage, config or input; 3 no such tap "
+    "or device, or no running daemon; 4 the sound server is missing, or server or device was lost; "
+    "5 internal error, full disk or write failure; 130 interrupted"
 )
 
 SEE_DEVICES = "see `cushion devices`"
@@ -109,9 +107,8 @@ def _catalogue(command: Parser) -> None:
     command.add_value("--workers", count, "N", "processes at once; default: the usable cores")
     command.add_value("--shard", str, "I/N", "process only one of N equal shares; I is 1 to N")
     command.add_value("--dask", str, "ADDRESS", "use a Dask cluster; local: one of this machine")
-    command.add_value(
-        "--max-failures", count, "N", "stop after more than N failures; default: never"
-    )
+    stop = "stop after more than N failures; default: never"
+    command.add_value("--max-failures", count, "N", stop)
     command.add_value("--retries", count, "N", "retries of failed I/O", 3)
     command.add_switch("--verify", "identify sounds by SHA-256, not by path, size and time")
     command.add_value("--track", count, "N", "sound track of films; default: the film's")
@@ -175,7 +172,7 @@ def _run(command: Parser) -> None:
 
 @_command("status", "show the state of the running daemon", "--watch")
 def _status(command: Parser) -> None:
-    command.add_switch("--watch", "repeat until interrupted")
+    command.add_switch("--watch", "repeat until interrupted; with --json, a line each second")
     command.add_json()
 
 
@@ -184,6 +181,9 @@ def _monitor(command: Parser) -> None:
     command.add_value("--listen", str, "HOST:PORT", "address to serve at", "127.0.0.1:8765")
     command.add_switch("--open", "open it in a browser")
     command.add_value("--rate", float, "HZ", "updates of the page per second, 1 to 60", 30.0)
+
+
+_command("tray", "show a tray icon with on and off, strength and profile")(lambda _: None)
 
 
 @_command("devices", "list outputs and playing applications")
@@ -216,6 +216,14 @@ def _test_tone(command: Parser) -> None:
     command.add_value("--seconds", float, "S", "duration", 2.0)
 
 
+@_command("sync", "find the delay between what is heard and what is felt")
+def _sync(command: Parser) -> None:
+    person = "ask a simulated person with this delay; SCATTER_MS: of its answers, default 15"
+    command.add_value("--simulate", str, "MS[:SCATTER_MS]", person)
+    command.add_value("--seed", count, "N", "seed of the random numbers; default: a new one")
+    command.add_json()
+
+
 @_command("calibrate", "identify a rig with sweeps of rising level", "--device twin --out rig.toml")
 def _calibrate(command: Parser) -> None:
     devices = f"{SEE_DEVICES}; or twin"
@@ -225,19 +233,18 @@ def _calibrate(command: Parser) -> None:
     channels = "input channels in order: acceleration, current, voltage, loopback, or -"
     command.add_value("--channels", str, "A,B,...", channels)
     command.add_value("--input-full-scale-v", float, "V", "peak volts at the input's full scale")
-    sensitivity = "sensitivity of the accelerometer"
-    command.add_value("--acceleration-mv-per-m-s2", float, "MV", sensitivity)
+    command.add_value("--acceleration-mv-per-m-s2", float, "MV", "sensitivity of the accelerometer")
     command.add_value("--shunt-ohm", float, "OHM", "resistance of the shunt resistor, up to 10")
-    ratio = "volts at the coil per volt at the input"
-    command.add_value("--voltage-ratio", float, "X", ratio, 1.0)
+    command.add_value("--voltage-ratio", float, "X", "volts at the coil per volt at the input", 1.0)
     command.add_value("--moving-mass-kg", float, "KG", "moving mass, if it was weighed; gives Bl")
     command.add_value("--output-channel", int, "N", "output channel to play on, from 1", 1)
     command.add_value("--level", float, "L", "part of full scale, up to 0.25; default: 0.05")
     command.add_switch("--loud", "allow a --level up to 1")
     command.add_value("--rig", str, "NAME|FILE", "known values of the rig", "paper")
     command.add_switch("--seat", "simulated rig: mount it in a seat")
-    share = "simulated rig: part of Xmax, up to 0.15; default: 0.05"
-    command.add_value("--share", float, "S", share)
+    command.add_value(
+        "--share", float, "S", "simulated rig: part of Xmax, up to 0.15; default: 0.05"
+    )
     command.add_value("--low-hz", float, "HZ", "lowest frequency", 15.0)
     command.add_value("--high-hz", float, "HZ", "highest frequency", 400.0)
     command.add_value("--seconds", duration, "S", "duration of each sweep", 5.0)
@@ -254,15 +261,12 @@ def _plugin(command: Parser) -> None:
     does = "path: print its path; install: install it for this user; remove: remove it"
     verbs = ("path", "install", "remove")
     command.add_argument("does", choices=verbs, metavar="|".join(verbs), help=does)
-    command.add_argument(
-        "--profile",
-        choices=tuple(PROFILES),
-        default=LIVE_DEFAULT,
-        metavar="NAME",
-        help=f"profile of the PipeWire chain: {', '.join(PROFILES)}; default: {LIVE_DEFAULT}",
+    names = f"profile of the PipeWire chain: {', '.join(PROFILES)}"
+    profile = command.add_value("--profile", str, "NAME", names, LIVE_DEFAULT)
+    profile.choices = tuple(PROFILES)
+    command.add_value(
+        "--device", str, "NODE", "also write a PipeWire chain that plays to this sink"
     )
-    chain = "also write a PipeWire chain that plays to this sink"
-    command.add_value("--device", str, "NODE", chain)
     command.add_value("--rate", int, "HZ", "also write settings for this sample rate")
 
 
@@ -271,9 +275,18 @@ def _install_service(command: Parser) -> None:
     command.add_value("--device", str, "DEVICE", f"{SEE_DEVICES}; default: the config's")
     command.add_value("--tap", str, "TAP", "where the sound comes from; default: the config's")
     command.add_switch("--remove", "remove the unit")
-    command.add_switch(
-        "--udev", "print a udev rule for USB devices; without a device, install nothing"
-    )
+    rule = "print a udev rule for USB devices; without a device, install nothing"
+    command.add_switch("--udev", rule)
+
+
+@_command("doctor", "find what is wrong with this set-up, and what to do", "--report report.txt")
+def _doctor(command: Parser) -> None:
+    fixes = "repair what needs no root: a stale lock, the plugin's copy, a folder, a muted device"
+    command.add_switch("--fix", fixes)
+    text = "also write everything to a text file, without names of files, windows or streams"
+    command.add_value("--report", Path, "FILE", text)
+    command.add_switch("--measure", "play bursts of sound for 3 s, and measure their delay")
+    command.add_json()
 
 
 @_command("check", "report every mistake of a config file", "--config config.toml")

@@ -5,11 +5,11 @@ import os
 import sys
 
 from audioflinger_hook.plugin.install import (
+    LOADING_COMMANDS,
     RATES_HZ,
     Places,
     built_plugin,
     install,
-    loading_commands,
     remove,
 )
 
@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"{places.bundle}: written")
         if options.device:
             print(f"{places.chain}: written")
-            print("to load it now, or at every login, type:", *loading_commands(), sep="\n    ")
+            print("to load it now, or at every login, type:", *LOADING_COMMANDS, sep="\n    ")
             print("to remove it: cushion plugin remove")
     sys.stdout.flush()
     return 0

@@ -1,12 +1,11 @@
 """Process-wide settings of long-running commands: signals, open files and garbage collection."""
 
-from __future__ import annotations
-
 import gc
 import os
 import resource
 import signal
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 
 from audioflinger_hook.daemon.timing import Wake
 from device.errors import UsageError
@@ -14,7 +13,7 @@ from device.errors import UsageError
 NEEDED, WANTED = 64, 512  # lowest accepted limit of open files, and the limit to set
 
 
-class Signals:
+class Signals(AbstractContextManager["Signals"]):
     """Stores received signals as attributes for the main thread, and wakes it through `wake`.
 
     These signals raise no exception. The context manager restores the previous handlers at exit.
@@ -25,42 +24,26 @@ class Signals:
     """
 
     def __init__(self, wake: Wake) -> None:
-        self.end = False
-        self.reload = False
+        self.end = self.reload = False
         self.on_spinning: Callable[[], None] = lambda: None
         self._wake = wake
         self._terminals = [descriptor for descriptor in (0, 1, 2) if os.isatty(descriptor)]
         # `nohup` makes a program continue without its terminal.
         self._goes_on = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-        handlers = {
-            signal.SIGINT: self._end,
-            signal.SIGTERM: self._end,
-            signal.SIGHUP: self._hang_up,
-            signal.SIGXCPU: self._spinning,
-        }
-        self._before = {number: signal.signal(number, take) for number, take in handlers.items()}
-
-    def __enter__(self) -> Signals:
-        return self
+        numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGXCPU)
+        self._before = {number: signal.signal(number, self._take) for number in numbers}
 
     def __exit__(self, *_error: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def _end(self, _number: int, _frame: object) -> None:
-        self.end = True
-        self._wake.ring()
-
-    def _hang_up(self, _number: int, _frame: object) -> None:
-        closed = [terminal for terminal in self._terminals if not os.isatty(terminal)]
-        if closed and not self._goes_on:
-            self.end = True
-        else:
+    def _take(self, number: int, _frame: object) -> None:
+        if number == signal.SIGXCPU:
+            self.on_spinning()
+        elif number == signal.SIGHUP and (self._goes_on or all(map(os.isatty, self._terminals))):
             self.reload = True
-        self._wake.ring()
-
-    def _spinning(self, _number: int, _frame: object) -> None:
-        self.on_spinning()
+        else:
+            self.end = True
         self._wake.ring()
 
 

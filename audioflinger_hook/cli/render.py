@@ -1,14 +1,12 @@
 """`cushion render`: writes the vibration of one or several sound files."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
+from audioflinger_hook.cli.arguments import given_values
 from audioflinger_hook.cli.terminal import complain, level_text, progress_bar, warn
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.settings import Settings
@@ -114,12 +112,6 @@ def chosen_settings(options: argparse.Namespace, recorded: Settings | None = Non
         settings = recorded or Settings(profile=default)
     names = ("form", "channels", "profile", "damping", "protection", "rig", "model", "tolerance")
     return settings.choosing(**given_values(options, names))
-
-
-def given_values(options: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
-    """Return those options among `names` that the user gave, with their values."""
-    values = {name: getattr(options, name) for name in names}
-    return {name: value for name, value in values.items() if value is not None}
 
 
 def show_report(

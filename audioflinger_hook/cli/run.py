@@ -1,7 +1,5 @@
 """`cushion run`: plays this computer's sound as vibration until stopped."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import os
@@ -11,6 +9,7 @@ from contextlib import nullcontext, suppress
 from datetime import datetime
 from pathlib import Path
 
+from audioflinger_hook.cli.arguments import given_values
 from audioflinger_hook.cli.process import Signals, allow_open_files, freeze_loaded_objects
 from audioflinger_hook.cli.replay import capture_files
 from audioflinger_hook.cli.run_reporter import RunReporter
@@ -19,8 +18,9 @@ from audioflinger_hook.config.edits import Edits, LiveEdits
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.live_control import LiveControl
+from audioflinger_hook.daemon.offset_store import OffsetStore
 from audioflinger_hook.daemon.recording import RunRecording
-from audioflinger_hook.daemon.run_config import LIVE_TAPS, PACED_TAPS, ConfigDiff, RunConfig
+from audioflinger_hook.daemon.run_config import LIVE_TAPS, PACED_TAPS, Change, RunConfig, words_of
 from audioflinger_hook.daemon.safety_keeper import Moment, SafetyKeeper
 from audioflinger_hook.daemon.status_report import status_of
 from audioflinger_hook.daemon.supervisor import Supervisor
@@ -30,11 +30,15 @@ from audioflinger_hook.service.install import state_folder
 from audioflinger_hook.service.runtime_folder import DaemonLock, Holder, RuntimeFolder
 from audioflinger_hook.service.status_server import StatusServer
 from audioflinger_hook.service.systemd import Watchdog, watchdog_period_s
-from audioflinger_hook.sources import TapAddress, parse_tap
-from device.address import DeviceAddress, parse_device
+from audioflinger_hook.sources import parse_tap
+from device.address import parse_device
 from device.errors import LostError, NotFoundError, UsageError
 from device.server import PulseConnection
 from device.stream import filter_stderr
+
+# Options that override keys of the config.
+OF_SETTINGS = ("profile", "rig", "damping", "protection", "model", "tolerance")
+OF_LIVE = ("tap", "device", "offset_ms", "drop_in", "engine", "device_volume_db")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -56,11 +60,13 @@ def run(options: argparse.Namespace) -> int:
             addresses = str(run_config.tap), str(run_config.device)
             recording = RunRecording(options.record, run_config.settings, *addresses)
             run_config = dataclasses.replace(run_config, recording=recording)
-        supervisor = Supervisor(run_config, clocks, wake, folder.path, _safety(run_config))
+        safety = SafetyKeeper(_state_folder(run_config.device_is_live), _present_moment)
+        offsets = OffsetStore(_state_folder(run_config.tap_is_live and run_config.device_is_live))
+        supervisor = Supervisor(run_config, clocks, wake, folder.path, safety, offsets)
         signals.on_spinning = supervisor.priority.revoke
         edits = LiveEdits(options.config or config.default_path())
 
-        def follow(values: Edits, muted: bool) -> tuple[RunConfig, ConfigDiff]:
+        def follow(values: Edits, muted: bool) -> tuple[RunConfig, set[Change]]:
             """Read the config file again, and apply it with the edits `values`."""
             again = _run_config(options, values)
             again = dataclasses.replace(again, recording=recording, muted=muted)
@@ -72,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
             """Apply edits from the live page. If `muted` changes, nothing else is applied."""
             if muted == supervisor.config.muted:
                 return follow(values, muted)[0]
-            again = dataclasses.replace(supervisor.config, muted=muted)
+            again = dataclasses.replace(supervisor.user_config, muted=muted)
             supervisor.follow(again, time.monotonic())
             return again
 
@@ -80,7 +86,7 @@ def run(options: argparse.Namespace) -> int:
             """Read the config file again, apply it, and return the changes as text."""
             again, changes = follow(edits.values, supervisor.config.muted)
             control.reloaded(again)
-            return str(changes)
+            return words_of(changes)
 
         control = LiveControl(supervisor, edits, follow_edits, wake.ring, run_config)
 
@@ -105,11 +111,10 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _safety(run_config: RunConfig) -> SafetyKeeper | None:
-    """Return the store of coil temperatures and doses. None: no real device or no state folder."""
-    if run_config.device_is_live:
+def _state_folder(is_used: bool) -> Path | None:
+    if is_used:
         with suppress(UsageError):
-            return SafetyKeeper(state_folder(), _present_moment)
+            return state_folder()
     return None
 
 
@@ -121,20 +126,15 @@ def _run_config(options: argparse.Namespace, edits: Edits | None = None) -> RunC
         found = config.load(path, options.default_profile, edits or None)
     else:
         found = config.Config(Settings(profile=options.default_profile))
-    settings, live = found.settings, found.live
-    names = ("profile", "rig", "damping", "protection", "model", "tolerance")
-    chosen = {name: getattr(options, name) for name in names if name not in edits}
-    settings = settings.choosing(**{name: c for name, c in chosen.items() if c is not None})
-    given = {
-        "tap": tuple(str(parse_tap(text)) for text in options.tap) if options.tap else None,
-        "device": options.device and str(parse_device(options.device)),
-        "offset_ms": options.offset_ms,
-        "drop_in": options.drop_in,
-        "engine": options.engine,
-        "device_volume_db": options.device_volume_db,
-    }
-    kept = {n: value for n, value in given.items() if value is not None and n not in edits}
-    live = dataclasses.replace(live, **kept)
+    settings = found.settings.choosing(
+        **given_values(options, [name for name in OF_SETTINGS if name not in edits])
+    )
+    given = given_values(options, [name for name in OF_LIVE if name not in edits])
+    if "tap" in given:
+        given["tap"] = tuple(str(parse_tap(text)) for text in given["tap"])
+    if "device" in given:
+        given["device"] = str(parse_device(given["device"]))
+    live = dataclasses.replace(found.live, **given)
     if live.device is None:
         raise UsageError(
             "no device to play the vibration to; `cushion devices` lists them: name one with "
@@ -142,35 +142,29 @@ def _run_config(options: argparse.Namespace, edits: Edits | None = None) -> RunC
         )
     run_config = RunConfig(parse_tap(live.tap[0]), parse_device(live.device), settings, live)
     if run_config.device.kind == "usb" and not run_config.tap_is_live:
-        run_config = dataclasses.replace(run_config, past_server=not _server_answers())
+        past_server = True
+        with suppress(LostError):
+            PulseConnection().close()
+            past_server = False
+        run_config = dataclasses.replace(run_config, past_server=past_server)
     _check_config(run_config)
-    _check_overwriting(run_config.tap, run_config.device)
     return run_config
 
 
-def _server_answers() -> bool:
-    with suppress(LostError):
-        PulseConnection().close()
-        return True
-    return False
-
-
 def _check_config(run_config: RunConfig) -> None:
-    if run_config.tap.kind not in LIVE_TAPS + PACED_TAPS:
-        raise NotFoundError(f"tap {str(run_config.tap)!r}: `cushion run` cannot listen to it")
+    tap, device = run_config.tap, run_config.device
+    if tap.kind not in LIVE_TAPS + PACED_TAPS:
+        raise NotFoundError(f"tap {str(tap)!r}: `cushion run` cannot listen to it")
     _ = run_config.rules
     numbered = run_config.device_is_a_card or not run_config.device_is_live
     if run_config.settings.actuators and numbered:
         # The property raises an error if an actuator names a channel; only sinks name channels.
         _ = run_config.settings.numbered_channels
-    if run_config.live.drop_in and run_config.tap.kind not in ("default", "app"):
+    if run_config.live.drop_in and tap.kind not in ("default", "app"):
         raise UsageError(
-            f"tap {str(run_config.tap)!r}: drop-in mode forwards to the default sink; the tap "
+            f"tap {str(tap)!r}: drop-in mode forwards to the default sink; the tap "
             "must be default or app:NAME"
         )
-
-
-def _check_overwriting(tap: TapAddress, device: DeviceAddress) -> None:
     if device.kind == "wav":
         played = {"file": [Path(tap.name)], "capture": capture_files(Path(tap.name))}
         for source in played.get(tap.kind, []):
@@ -208,7 +202,7 @@ def _keep_on(
             notes, warnings = supervisor.states.notes(), _warnings(supervisor)
             reporter.report(report, notes, warnings, now_s)
             reporter.show_meter(lambda: status_of(supervisor, time.monotonic()), now_s)
-            if watchdog.due(supervisor.engines.counts[0], report.state, now_s):
+            if watchdog.due(supervisor.engines.counts[1], report.state, now_s):
                 reporter.notifier.send("WATCHDOG=1")
             wake.wait(min(supervisor.rest_s, watchdog.check_s or supervisor.rest_s))
     finally:

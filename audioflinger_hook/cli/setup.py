@@ -3,24 +3,23 @@
 It asks all questions before it writes a file. If it fails, it restores the earlier files.
 """
 
-from __future__ import annotations
-
 import argparse
 import difflib
 import sys
 import tomllib
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from audioflinger_hook.cli import setup_files
 from audioflinger_hook.cli.outputs import COILS, SOUND, SURROUND, Output, list_outputs, shaker_pair
 from audioflinger_hook.cli.terminal import agree, as_typed, name_some, pick, warn
-from audioflinger_hook.cli.test_tone import PCM, Felt, try_output
+from audioflinger_hook.cli.test_tone import PCM, try_output
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.edits import actuator_text, commented_text, edited_text
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
+from audioflinger_hook.service import autostart
 from audioflinger_hook.service import install as service
 from device.address import DeviceAddress, parse_device
 from device.alsa import find_playback, list_cards
@@ -31,7 +30,7 @@ from device.server import PulseConnection, ServerSnapshot
 from device.stream import PcmConfig, filter_stderr
 from device.stream.pcms import missing_plugin
 from device.usb import find_devices
-from device.values import nearest
+from device.values import Choice
 
 SPEECH_FREE = "speech-free"
 SPEECH_KEY, SPEECH_SUPPRESSION_DB = "transform.speech_suppression_db", 12.0
@@ -64,17 +63,20 @@ def run(options: argparse.Namespace) -> int:
     wired: tuple[ActuatorSettings, ...] = ()
     if before is not None:  # the user must repair a config with mistakes first
         wired = config.load(path, LIVE_DEFAULT).settings.actuators
-    _check_profile(options.profile)
-    has_service = not options.no_service and service.installed_text() is not None
+    known = Choice("what is played", (*PROFILES, SPEECH_FREE))
+    if options.profile is not None and (refusal := known.refuse(options.profile)):
+        raise UsageError(f"profile={options.profile!r} {refusal}")
+    has_service = not options.no_service and autostart.is_on()
     choice = _chosen(options, wired)
     if choice is None:
         print(f"The tone was stopped; {NOTHING_WRITTEN}.")
         return 0
-    values: dict[str, Any] = {"device": choice.output.address}
-    if choice.level_db is not None:
-        values["gain_db"] = choice.level_db
+    address, level_db, channels = choice
+    values: dict[str, Any] = {"device": address}
+    if level_db is not None:
+        values["gain_db"] = level_db
     values |= _profile_values(options.profile or _ask_profile(options.yes, before), before)
-    text = _new_text(path, before, values, choice.channels)
+    text = _new_text(path, before, values, channels)
     if text == before:
         print(f"\n{path} has these settings already.")
     else:
@@ -93,25 +95,14 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _check_profile(name: str | None) -> None:
-    known = (*PROFILES, SPEECH_FREE)
-    if name is not None and name not in known:
-        guess = nearest(name, known)
-        offer = f"; did you mean {guess}?" if guess else ""
-        raise UsageError(f"profile={name!r} is not known; allowed: {', '.join(known)}{offer}")
+def _chosen(
+    options: argparse.Namespace, wired: tuple[ActuatorSettings, ...]
+) -> tuple[str, float | None, tuple[str, ...]] | None:
+    """Return the chosen output's address, level and channels; None if the user stopped the tone.
 
-
-@dataclass(frozen=True)
-class Choice:
-    """The chosen output, level and channels."""
-
-    output: Output
-    level_db: float | None  # level at which the user felt the tone; None if not asked
-    channels: tuple[str, ...]  # channels of the actuators; empty: all, or those of the config
-
-
-def _chosen(options: argparse.Namespace, wired: tuple[ActuatorSettings, ...]) -> Choice | None:
-    """Return what was chosen; None if the user stopped the tone. wired: the config's actuators."""
+    The level is that at which the user felt the tone, None if not asked. Without channels, all
+    drive actuators, or those of the config. wired: the config's actuators.
+    """
     filter_stderr()
     named = None if options.device is None else parse_device(options.device)
     with ExitStack() as stack:
@@ -129,7 +120,7 @@ def _chosen(options: argparse.Namespace, wired: tuple[ActuatorSettings, ...]) ->
                 output = _first(outputs) if options.yes else _ask_output(outputs)
             _warn_of_sound(output, options.yes, named is not None)
             channels = () if wired or options.yes else _ask_channels(output)
-            felt, level_db = Felt.YES, None
+            felt, level_db = "yes", None
             if not options.no_test:
                 actuators = (ActuatorSettings(channels),) if channels else wired
                 device = parse_device(output.address)
@@ -140,11 +131,11 @@ def _chosen(options: argparse.Namespace, wired: tuple[ActuatorSettings, ...]) ->
                 except (LostError, NotFoundError, UsageError) as error:
                     if options.yes or named is not None:
                         raise
-                    felt = Felt.NO
+                    felt = "no"
                     print(error)
-            if felt is Felt.YES:
-                return Choice(output, level_db, channels)
-            if felt is Felt.STOPPED:
+            if felt == "yes":
+                return output.address, level_db, channels
+            if felt == "stop":
                 return None
             if named is not None:
                 raise NotFoundError(
@@ -284,9 +275,10 @@ def _tell(path: Path, text: str, has_service: bool) -> None:
         f"{settings.profile} at {settings.gain_db:g} dB."
     )
     print("next, type:")
-    begin = [(command, "") for command in service.START]
+    by_systemd = has_service and autostart.has_systemd()
+    plays = (as_typed("run"), "plays the vibration; Ctrl+C ends it")
     rows = [
-        *(begin if has_service else [(as_typed("run"), "plays the vibration; Ctrl+C ends it")]),
+        (service.START[-1], "") if by_systemd else plays,  # the service is enabled already
         (as_typed("monitor --open"), "opens a page that shows and adjusts the vibration"),
         (as_typed("status"), "shows the state of the daemon"),
         (as_typed("setup --undo"), "restores the config and the service as before"),

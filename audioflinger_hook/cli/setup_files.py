@@ -5,8 +5,6 @@ reverts the last recorded setup. A setup that fails restores the files. A copy o
 is kept until undo. Undo keeps a copy of a config that the user edited after the setup.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import os
@@ -15,8 +13,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from audioflinger_hook.config import toml_text
+from audioflinger_hook.service import autostart
 from audioflinger_hook.service import install as service
-from device.atomic_file import make_private_folder, write_bytes_atomically
+from audioflinger_hook.service.desktop_entry import install_page_entry, remove_page_entry
+from device.atomic_file import (
+    make_private_folder,
+    remove_file,
+    write_bytes_atomically,
+    write_private,
+)
 from device.errors import CushionError, UsageError
 
 RECORDS_NAME = "setup-undo.json"
@@ -32,15 +37,16 @@ class Record:
     backup: str | None  # copy of the earlier config; None if unchanged or if there was no config
     unit_changed: bool  # whether the service was installed
     unit: str | None  # the earlier text of the unit; None if there was no unit
+    started: bool = False  # whether the daemon started at every login before
 
 
 def write(path: Path, before: str | None, text: str, *, with_service: bool) -> str:
-    """Write the config and install the service. Return the path of the config's backup, or "".
+    """Write the config, the service and the menu's entry. Return the config's backup, or "".
 
     before: the file's text before the questions; None if there was no file. with_service: whether
-    to install the service. UsageError: the file has changed since the questions, or a folder cannot
-    be written. WriteError: the disk is full or failed. After an error or an interruption, all files
-    are restored if possible.
+    to start the daemon at every login. UsageError: the file has changed since the questions, or a
+    folder cannot be written. WriteError: the disk is full or failed. After an error or an
+    interruption, all files are restored if possible.
     """
     if text_of(path) != before:
         raise UsageError(
@@ -61,17 +67,19 @@ def write(path: Path, before: str | None, text: str, *, with_service: bool) -> s
         backup=str(backup.absolute()) if backup else None,
         unit_changed=with_service,
         unit=service.installed_text() if with_service else None,
+        started=with_service and autostart.is_on(),
     )
     try:
         _save([*earlier, record])
         if changes:
             write_bytes_atomically(path, text.encode())
         if with_service:
-            service.install(["--wait"], systemd=service.systemd_version())
+            if autostart.has_systemd():
+                service.install(["--wait"], systemd=service.systemd_version())
+            autostart.set_on(True)
+        install_page_entry(service.own_command())
     except BaseException:
-        with suppress(
-            CushionError
-        ):  # after an error here, `cushion setup --undo` can restore the files
+        with suppress(CushionError):  # `cushion setup --undo` can then restore the files
             if record in _records():
                 _take_back(record, earlier)
             else:
@@ -97,17 +105,20 @@ def undo() -> tuple[list[str], tuple[str, ...]]:
 
 
 def _take_back(record: Record, earlier: list[Record]) -> tuple[list[str], tuple[str, ...]]:
-    done: list[str] = []
+    done = [] if record.written is None else _restore_config(record)
     commands: tuple[str, ...] = ()
-    if record.written is not None:
-        done += _restore_config(record)
     if record.unit_changed:
+        if not record.started:
+            autostart.set_on(False)
+            done.append("start at login: off")
         restored = service.restore(record.unit)
-        what = "removed" if restored.changed and record.unit is None else "as it was before"
-        done.append(f"{restored.path}: {what}")
-        commands = restored.commands if restored.changed else ()
+        if restored.changed or record.unit is not None:
+            done.append(f"{restored.path}: {'as it was before' if record.unit else 'removed'}")
+        commands = restored.commands
     _save(earlier)
     _remove_backup(record)
+    if not earlier:
+        done.append(f"{remove_page_entry()}: removed")
     return done, commands
 
 
@@ -119,13 +130,11 @@ def _remove_backup(record: Record) -> None:
 
 def _restore_config(record: Record) -> list[str]:
     path = Path(record.config)
-    before = None
-    if record.backup is not None:
-        try:
-            before = Path(record.backup).read_bytes()
-        except OSError as error:
-            why = f"{record.backup} cannot be read ({error.strerror})"
-            raise UsageError(f"{why}, so {path} is not changed") from error
+    try:
+        before = Path(record.backup).read_bytes() if record.backup else None
+    except OSError as error:
+        why = f"{record.backup} cannot be read ({error.strerror})"
+        raise UsageError(f"{why}, so {path} is not changed") from error
     done = []
     now = None
     try:
@@ -139,15 +148,9 @@ def _restore_config(record: Record) -> list[str]:
         kept = _copy(now or b"", path, "undone")
         done.append(f"{kept}: your later changes")
     if before is None:
-        try:
-            path.unlink(missing_ok=True)
-        except OSError as error:
-            raise UsageError(
-                f"cannot remove {path}: {error.strerror}; remove it yourself"
-            ) from error
+        remove_file(path)
         return [*done, f"{path}: removed"]
-    make_private_folder(path.parent)
-    write_bytes_atomically(path, before)
+    write_private(path, before)
     return [*done, f"{path}: as it was before"]
 
 
@@ -177,6 +180,5 @@ def _save(records: list[Record]) -> None:
         with suppress(OSError):  # if this fails, the write below reports the reason
             path.unlink(missing_ok=True)
             return
-    make_private_folder(path.parent)
     kept = [asdict(record) for record in records[-RECORDS_MAX:]]
-    write_bytes_atomically(path, json.dumps(kept, indent=1).encode())
+    write_private(path, json.dumps(kept, indent=1).encode())

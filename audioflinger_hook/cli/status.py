@@ -1,7 +1,5 @@
 """`cushion status`: shows the status of a running daemon."""
 
-from __future__ import annotations
-
 import argparse
 import time
 
@@ -15,7 +13,7 @@ from audioflinger_hook.service.status import Status, status_rows
 from audioflinger_hook.service.status_client import ask_status
 
 ANSWER_S = 2.0
-REFRESH_S = 0.5
+REFRESH_S, JSON_EVERY_S = 0.5, 1.0
 STYLES = {"good": "green", "wait": "yellow", "bad": "red", "sound": "cyan", "felt": "yellow"}
 
 
@@ -23,12 +21,15 @@ def run(options: argparse.Namespace) -> int:
     """Print the status once, or repeatedly."""
     if options.watch and not options.json:
         return _watch()
-    status = ask_status(ANSWER_S, time.monotonic)
-    if options.json:
-        print(to_json(status))
-    else:
-        LineConsole().print(status_view(status))
-    return 0
+    while True:
+        status = ask_status(ANSWER_S, time.monotonic)
+        if options.json:
+            print(to_json(status), flush=True)
+        else:
+            LineConsole().print(status_view(status))
+        if not options.watch:
+            return 0
+        time.sleep(JSON_EVERY_S)
 
 
 def _watch() -> int:

@@ -1,14 +1,15 @@
 """Terminal output: warnings, progress, levels as text, and questions."""
 
-from __future__ import annotations
-
 import math
+import os
 import select
 import shlex
 import shutil
 import sys
+import termios
+import tty
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Protocol
 
@@ -143,9 +144,37 @@ def _read(prompt: str, meanwhile: Callable[[], None] | None = None) -> str:
                 meanwhile()
         return input()
     except EOFError:
-        print()
-        sys.stdout.flush()
+        print(flush=True)
         raise KeyboardInterrupt from None
     except CushionError:
         print(flush=True)
         raise
+
+
+@contextmanager
+def pressed_keys() -> Iterator[Callable[[float], str]]:
+    """Yield a function that waits for a key of the terminal, which need not be followed by Enter.
+
+    The function takes the longest wait in seconds. It returns what the terminal sends for the key,
+    such as "f", or "\\x1b[D" for the left arrow; "" if no key was pressed. Standard input must be a
+    terminal. KeyboardInterrupt: the terminal was closed, or Ctrl+D was pressed.
+    """
+    terminal = sys.stdin.fileno()
+    before = termios.tcgetattr(terminal)
+
+    def read(limit_s: float) -> str:
+        if not select.select([terminal], [], [], limit_s)[0]:
+            return ""
+        pressed = b""
+        with suppress(OSError):  # the terminal is closed
+            pressed = os.read(terminal, 32)
+        if pressed in (b"", b"\x04"):
+            raise KeyboardInterrupt
+        return pressed.decode(errors="replace")
+
+    tty.setcbreak(terminal)
+    try:
+        yield read
+    finally:
+        with suppress(termios.error):  # the terminal is closed
+            termios.tcsetattr(terminal, termios.TCSAFLUSH, before)

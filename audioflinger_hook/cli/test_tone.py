@@ -1,15 +1,11 @@
 """Plays the tone of `cushion test-tone` and of `cushion setup` on exactly one device."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
-from enum import Enum, auto
 
 import numpy as np
 
@@ -27,6 +23,7 @@ from device.server.guard import Hold
 from device.server.snapshot import Sink
 from device.stream import PcmConfig, PlaybackStream, filter_stderr
 from device.stream.pcms import CardDevice, Pcm, ServerDevice
+from device.stream.sample_format import SampleFormat
 from device.units import Float32Array, db_to_amplitude
 from device.usb.identity import coil_channels
 
@@ -37,12 +34,17 @@ CARD_RATE_HZ = 48_000
 
 
 class Tone:
-    """A sine on some channels, silent until `play`. Any thread may call `play` and `stop`.
+    """A sine on some channels of an output, silent until `play`.
 
-    channels: numbers of the channels that play it, from 0. ended: set when the tone has ended.
+    name: of the output. channels: numbers of the channels that play it, from 0. stream: the open
+    output. guard: None for a sound card without a server. ended: set when the tone has ended.
     """
 
-    def __init__(self, hz: float, samplerate: int, channels: Sequence[int]) -> None:
+    stream: PlaybackStream
+    guard: StreamGuard | None = None
+
+    def __init__(self, name: str, hz: float, samplerate: int, channels: Sequence[int]) -> None:
+        self.name = name
         self._turn = 2.0 * math.pi * hz / samplerate  # radians per frame
         self._samplerate, self._channels = samplerate, list(channels)
         self._phase = self._amplitude = self._aim = 0.0
@@ -57,10 +59,6 @@ class Tone:
         self._fall = level / (FADE_S * self._samplerate)
         self._aim = level
         self.ended.clear()
-
-    def stop(self) -> None:
-        """Fade out now."""
-        self._frames_left = 0
 
     def fill(self, out: Float32Array, now_s: float) -> None:
         """Write the next frames. Only the output's thread calls it."""
@@ -79,16 +77,6 @@ class Tone:
         if aim == before == 0.0:
             self.ended.set()
 
-
-@dataclass(frozen=True)
-class TonePlayer:
-    """An open output with its tone. guard: None for a sound card without a server."""
-
-    name: str
-    tone: Tone
-    stream: PlaybackStream
-    guard: StreamGuard | None
-
     def wait_audible(self) -> None:
         """Wait until the stream plays. LostError: the stream does not play within SETTLE_S."""
         deadline_s = time.monotonic() + SETTLE_S
@@ -100,7 +88,7 @@ class TonePlayer:
 
     def wait_ended(self) -> None:
         """Wait for the tone's end. LostError: the device was lost."""
-        while not self.tone.ended.wait(0.1):
+        while not self.ended.wait(0.1):
             self.check()
         if self.guard is not None:  # a stream without a device may consume all frames at once
             self.guard.look()
@@ -114,9 +102,9 @@ class TonePlayer:
 
     def fade_out(self) -> None:
         """Fade out the tone and wait for its end. Raises nothing."""
-        self.tone.stop()
+        self._frames_left = 0
         if self.stream.audible and not self.stream.is_lost():
-            self.tone.ended.wait(3.0 * FADE_S)
+            self.ended.wait(3.0 * FADE_S)
 
 
 @contextmanager
@@ -126,7 +114,7 @@ def open_tone(
     connection: PulseConnection,
     hz: float,
     actuators: Sequence[ActuatorSettings] = (),
-) -> Iterator[TonePlayer]:
+) -> Iterator[Tone]:
     """Open a device for a tone of `hz`; close the device at exit.
 
     actuators: their channels play the tone; if empty, the known coil channels, else all channels.
@@ -135,29 +123,35 @@ def open_tone(
     LostError: the device or the server does not answer.
     """
     with ExitStack() as stack:
-        if device.kind == "hw":
-            yield _on_card(device, pcm, hz, actuators, stack)
-            return
-        sink = device.sink(connection.latest)
-        stack.callback(FallbackSink(connection).close)
-        pcm.target = ServerDevice(sink.name)
-        tone = Tone(hz, sink.samplerate, _playing(sink_channel_map(sink, actuators)))
-        stream = PlaybackStream(pcm, sink.samplerate, sink.channels, tone.fill)
+        sink = None if device.kind == "hw" else device.sink(connection.latest)
+        if sink is None:
+            name, setup, channel_map = _on_card(device, pcm, actuators)
+        else:
+            stack.callback(FallbackSink(connection).close)
+            pcm.target = ServerDevice(sink.name)
+            name = f"{sink.name} ({sink.description})"
+            setup = CardSetup(SampleFormat.FLOAT32, sink.samplerate, sink.channels)
+            channel_map = sink_channel_map(sink, actuators)
+        playing = [
+            number for number, source in enumerate(channel_map.sources) if source is not None
+        ]
+        tone = Tone(name, hz, setup.samplerate, playing)
+        stream = tone.stream = PlaybackStream(
+            pcm, setup.samplerate, setup.channels, tone.fill, sample_format=setup.sample_format
+        )
         stack.callback(stream.close)
-        guard = StreamGuard(connection, stream, sink.name)
-        stack.callback(guard.release)
-        player = TonePlayer(f"{sink.name} ({sink.description})", tone, stream, guard)
-        stack.callback(player.fade_out)
-        yield player
+        if sink:
+            tone.guard = StreamGuard(connection, stream, sink.name)
+            stack.callback(tone.guard.release)
+        stack.callback(tone.fade_out)
+        if sink is None:
+            stream.audible = True
+        yield tone
 
 
 def _on_card(
-    device: DeviceAddress,
-    pcm: Pcm,
-    hz: float,
-    actuators: Sequence[ActuatorSettings],
-    stack: ExitStack,
-) -> TonePlayer:
+    device: DeviceAddress, pcm: Pcm, actuators: Sequence[ActuatorSettings]
+) -> tuple[str, CardSetup, ChannelMap]:
     playback = find_playback(device.name)
     coils = coil_channels(*playback.card.usb_id)
     wiring = wiring_of(actuators)
@@ -168,15 +162,7 @@ def _on_card(
         if actuators
         else ChannelMap.on_coils(1, setup.channels, coils, str(playback))
     )
-    tone = Tone(hz, setup.samplerate, _playing(channel_map))
-    stream = PlaybackStream(
-        pcm, setup.samplerate, setup.channels, tone.fill, sample_format=setup.sample_format
-    )
-    stack.callback(stream.close)
-    player = TonePlayer(f"{playback} ({playback.name})", tone, stream, None)
-    stack.callback(player.fade_out)
-    stream.audible = True
-    return player
+    return f"{playback} ({playback.name})", setup, channel_map
 
 
 def free_card(
@@ -193,10 +179,6 @@ def free_card(
     return CardDevice(device.card.number, device.device), setup
 
 
-def _playing(channel_map: ChannelMap) -> list[int]:
-    return [channel for channel, source in enumerate(channel_map.sources) if source is not None]
-
-
 TONE_HZ = 60.0
 FIRST_DB, STEP_DB = -24.0, 6.0  # first level in dB of full scale; "louder" adds STEP_DB
 FADE_IN_S = 2.0
@@ -211,14 +193,6 @@ ANSWERS = {
 }
 
 
-class Felt(Enum):
-    """The user's answer to whether the tone was felt."""
-
-    YES = auto()
-    NO = auto()
-    STOPPED = auto()
-
-
 def try_output(
     device: DeviceAddress,
     pcm: Pcm,
@@ -226,38 +200,35 @@ def try_output(
     actuators: Sequence[ActuatorSettings],
     *,
     ask: bool,
-) -> tuple[Felt, float | None]:
+) -> tuple[str, float | None]:
     """Play a tone, and ask whether it is felt. Return the answer and the amplitude in dBFS.
 
-    actuators: see `open_tone`.
-    ask: if False, play a short tone, ask nothing, and return `Felt.YES` without a level.
+    The answer is yes, no or stop; only yes has an amplitude. actuators: see `open_tone`.
+    ask: if False, play a short tone, ask nothing, and return yes without an amplitude.
     KeyboardInterrupt: as for `choose`; the tone is stopped.
     LostError: the device does not play, or was lost. Other errors are those of `open_tone`.
     """
-    with open_tone(device, pcm, connection, TONE_HZ, actuators) as player:
-        player.wait_audible()
-        print(f"\n{player.name} vibrates softly at {TONE_HZ:g} Hz. Ctrl+C stops it.", flush=True)
+    with open_tone(device, pcm, connection, TONE_HZ, actuators) as tone:
+        tone.wait_audible()
+        print(f"\n{tone.name} vibrates softly at {TONE_HZ:g} Hz. Ctrl+C stops it.", flush=True)
         if not ask:
-            player.tone.play(db_to_amplitude(FIRST_DB), UNASKED_S, FADE_IN_S)
-            player.wait_ended()
-            return Felt.YES, None
+            tone.play(db_to_amplitude(FIRST_DB), UNASKED_S, FADE_IN_S)
+            tone.wait_ended()
+            return "yes", None
         print("The strongest moments will be as strong as the tone.")
-        return _ask(player)
+        return _ask(tone)
 
 
-def _ask(player: TonePlayer) -> tuple[Felt, float | None]:
+def _ask(tone: Tone) -> tuple[str, float | None]:
     level_db = FIRST_DB
     while True:
-        player.tone.play(db_to_amplitude(level_db), LONGEST_S, FADE_IN_S)
+        tone.play(db_to_amplitude(level_db), LONGEST_S, FADE_IN_S)
         question = f"{level_db:g} dB. Felt it? yes, louder, no, stop:"
-        answer = choose(question, ANSWERS, meanwhile=player.check)
-        if answer == "stop":
-            return Felt.STOPPED, None
-        player.check()
-        if answer == "yes":
-            return Felt.YES, level_db
-        if answer == "no":
-            return Felt.NO, None
+        answer = choose(question, ANSWERS, meanwhile=tone.check)
+        if answer != "stop":
+            tone.check()
+        if answer != "louder":
+            return answer, level_db if answer == "yes" else None
         if math.isclose(level_db, 0.0):
             print("This is full scale: turn the amplifier up, or check the cables.")
         level_db = min(level_db + STEP_DB, 0.0)
@@ -269,7 +240,7 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"hz={options.hz:.12g} is out of range; allowed: 20 to 220 Hz")
     if not 0.0 < options.level <= 1.0:
         raise UsageError(f"level={options.level:.12g} is out of range; allowed: above 0, up to 1")
-    if not FADE_S * 2 < options.seconds <= 60.0:
+    if not FADE_S * 2 <= options.seconds <= 60.0:
         raise UsageError(f"seconds={options.seconds:.12g} is out of range; allowed: 0.2 to 60 s")
     device = parse_device(options.device)
     if device.kind not in ("sink", "usb"):
@@ -279,13 +250,13 @@ def run(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         pcms = stack.enter_context(closing(PcmConfig(PCM)))
         connection = stack.enter_context(closing(PulseConnection()))
-        player = stack.enter_context(open_tone(device, pcms.pcms[PCM], connection, options.hz))
-        player.tone.play(options.level, options.seconds)
+        tone = stack.enter_context(open_tone(device, pcms.pcms[PCM], connection, options.hz))
+        tone.play(options.level, options.seconds)
         how = f"{options.hz:g} Hz for {options.seconds:g} s, at {options.level:.0%} of full scale"
-        print(f"{player.name}: {how}", flush=True)
+        print(f"{tone.name}: {how}", flush=True)
         for warning in _warnings(device.sink(connection.latest), connection.latest):
             warn(warning)
-        player.wait_ended()
+        tone.wait_ended()
     return 0
 
 

@@ -1,7 +1,5 @@
 """`cushion usb`: decodes USB audio devices or dumps of them, and sets a device's controls."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math
@@ -39,13 +37,13 @@ def run(options: argparse.Namespace) -> int:
     if options.hex is not None and (options.device or options.take_over):
         raise UsageError("--hex decodes a file; leave out DEVICE and --take-over")
     if options.hex is not None:
-        documents = [_document(whole) for whole in _dumped(options.hex)]
+        devices = [parse_whole(raw) for raw in parse_dump(_read(options.hex))]
+        with_audio = [one for one in devices if any(each.uac for each in one.configurations)]
+        documents = [_document(whole) for whole in with_audio or devices]
     else:
         documents = [
-            _document(
-                parse_whole(read_descriptors(device)), device, _settings(device, options.take_over)
-            )
-            for device in _devices(options.device)
+            _document(parse_whole(read_descriptors(one)), one, _settings(one, options.take_over))
+            for one in _devices(options.device)
         ]
     if options.json:
         single = options.device or (options.hex is not None and len(documents) == 1)
@@ -62,12 +60,6 @@ def _devices(name: str | None) -> tuple[UsbAudioDevice, ...]:
     if not found.devices:
         raise found.reason or NoUsbDeviceError("no USB audio device is plugged in")
     return found.devices
-
-
-def _dumped(path: Path) -> list[WholeDevice]:
-    """Return the audio devices in a dump; all its devices if none has audio."""
-    devices = [parse_whole(raw) for raw in parse_dump(_read(path))]
-    return [one for one in devices if any(each.uac for each in one.configurations)] or devices
 
 
 def _read(path: Path) -> bytes:
@@ -121,9 +113,7 @@ def _asked(control: UsbControl) -> dict[str, Any]:
 
 
 def _document(
-    whole: WholeDevice,
-    device: UsbAudioDevice | None = None,
-    settings: dict[str, Any] | None = None,
+    whole: WholeDevice, device: UsbAudioDevice | None = None, settings: dict[str, Any] | None = None
 ) -> dict[str, Any]:
     """Return all known properties of a device or dump, as printed by --json."""
     document: dict[str, Any] = {}
@@ -233,7 +223,7 @@ def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
         if not card.playback:
             continue
         try:
-            with CardMixer(card.number) as mixer:
+            with closing(CardMixer(card.number)) as mixer:
                 for volume in mixer.volumes:
                     shown: dict[str, Any] = {"name": volume.name}
                     levels, decibels = mixer.volume_db(volume), volume.decibels
@@ -242,8 +232,7 @@ def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
                         shown["lowest_db"] = _finite(decibels.lowest_db)
                         shown["highest_db"] = _finite(decibels.highest_db)
                     volumes.append(shown)
-                for switch in mixer.switches:
-                    mutes.append({"name": switch.name, "muted": list(mixer.muted(switch))})
+                mutes += [{"name": s.name, "muted": [*mixer.muted(s)]} for s in mixer.switches]
         except CushionError as error:
             problem = str(error)
     return {"volumes": volumes, "mutes": mutes, "problem": problem}

@@ -4,8 +4,6 @@ Descriptors of USB Audio 2 and 3 contain no sample rates. Descriptors of USB Aud
 channel count. The device's driver lists these values.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict
@@ -40,7 +38,7 @@ def formats_of(
         for each in decoded
     ]
     uac = configuration.uac if configuration else None
-    return found + [_listed(setting, each, uac) for setting, each in listed.items()]
+    return found + [_listed(each, uac) for each in listed.values()]
 
 
 def by_setting(device: UsbAudioDevice, root: Path = PROC) -> dict[tuple[int, int], UsbFormat]:
@@ -109,10 +107,10 @@ def _decoded(
     }
 
 
-def _listed(setting: tuple[int, int], each: UsbFormat, uac: int | None) -> dict[str, Any]:
+def _listed(each: UsbFormat, uac: int | None) -> dict[str, Any]:
     return {
-        "interface": setting[0],
-        "alternate": setting[1],
+        "interface": each.interface,
+        "alternate": each.altsetting,
         "audio_class": uac,
         "encodings": ["DSD"] if _is_dsd(each) else list(each.formats),
         "bits": each.bits,

@@ -1,9 +1,8 @@
 """Applies edits (new values of config keys) to a parsed config, its text, or a new config.
 
 Edits are keyed by the name of a config key: `key` or `section.key`. The value None removes the key.
+`RULE` and a name are the key of an [[application]] rule, whose value has all keys except `match`.
 """
-
-from __future__ import annotations
 
 import textwrap
 import tomllib
@@ -12,21 +11,22 @@ from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.config.schema import ACTUATOR, KEYS, Key, keys_of
-from audioflinger_hook.config.toml_text import text_of
-from device.atomic_file import make_private_folder, write_bytes_atomically
+from audioflinger_hook.config.schema import APPLICATION, ARRAYS, KEYS, Key, keys_of
+from audioflinger_hook.config.toml_text import lines_of_keys, text_of
+from device.atomic_file import write_private
 from device.errors import InternalError, UsageError
 from device.values import Text, nearest
 
 Edits = Mapping[str, Any]
 
+RULE = f"{APPLICATION}:"
 UNDO_MAX = 100  # largest number of changes that can be undone
 
 EDITABLE = {  # keys that may be changed while the daemon runs
     f"{key.section}.{key.name}" if key.section else key.name: key
     for key in KEYS
-    # Keys of type `Text`, such as names of files, and keys of actuators cannot be edited.
-    if key.section != ACTUATOR and not isinstance(key.description, Text)
+    # Keys of type `Text`, such as names of files, and keys of arrays of tables cannot be edited.
+    if key.section not in ARRAYS and not isinstance(key.description, Text)
 }
 
 
@@ -42,6 +42,9 @@ def editable(name: str) -> Key:
 def apply_edits(document: MutableMapping[str, Any], edits: Edits) -> None:
     """Change a parsed config in place."""
     for name, value in edits.items():
+        if match := name.partition(RULE)[2]:
+            _apply_rule(document, match.strip(), value)
+            continue
         section, _, key = name.rpartition(".")
         table = document
         if section:
@@ -56,6 +59,51 @@ def apply_edits(document: MutableMapping[str, Any], edits: Edits) -> None:
             table[key] = list(value) if isinstance(value, tuple) else value
 
 
+def _apply_rule(document: MutableMapping[str, Any], match: str, rule: Edits | None) -> None:
+    index = _rule_index(document, match)
+    rules = document.get(APPLICATION, [])
+    if index is None:
+        if rule is not None and isinstance(rules, list):  # else `check` reports it
+            document.setdefault(APPLICATION, rules).append({"match": match, **rule})
+    elif rule is not None:
+        for name in rules[index].keys() - rule.keys() - {"match"}:
+            del rules[index][name]
+        rules[index].update({n: v for n, v in rule.items() if rules[index].get(n) != v})
+    elif rules[1:]:
+        del rules[index]
+    else:
+        del document[APPLICATION]
+
+
+def _rule_index(document: Mapping[str, Any], match: str) -> int | None:
+    found = document.get(APPLICATION)
+    rules = found if isinstance(found, list) else []
+    names = [str(one.get("match")) if isinstance(one, Mapping) else "" for one in rules]
+    known = [name.strip().casefold() for name in names]
+    return known.index(match.casefold()) if match.casefold() in known else None
+
+
+def _with_rules(text: str, edits: Edits) -> str:
+    """Add and remove lines of [[application]] tables, so that all comments stay in place."""
+    for match, rule in ((name.partition(RULE)[2].strip(), rule) for name, rule in edits.items()):
+        if not match:
+            continue
+        document, lines = tomllib.loads(text), (text and text.rstrip("\n") + "\n").split("\n")
+        index = _rule_index(document, match)
+        prefix = f"{APPLICATION}[" if index is None else f"{APPLICATION}[{index + 1}]"
+        own = [at for key, at in lines_of_keys(text).items() if key.startswith(prefix)]
+        if rule is not None:
+            known = {} if index is None else document[APPLICATION][index]
+            head = [] if known else ["", f"[[{APPLICATION}]]", _line("match", match)]
+            at = max(own, default=len(lines) - 1)
+            lines[at:at] = head + [_line(n, value) for n, value in rule.items() if n not in known]
+        elif index is not None and own:
+            first = min(own) - 1
+            del lines[first - (not lines[first - 1].strip()) : max(own)]
+        text = "\n".join(lines).lstrip("\n")
+    return text
+
+
 def edited_text(text: str, edits: Edits) -> str:
     """Return the edited text of a config. Its comments and the order of keys do not change.
 
@@ -65,8 +113,10 @@ def edited_text(text: str, edits: Edits) -> str:
     from tomlkit.exceptions import TOMLKitError
 
     try:
-        document = tomlkit.parse(text)
         expected = tomllib.loads(text)
+        document = tomlkit.parse(text)
+        if not isinstance(document.get(APPLICATION), tomlkit.items.Array):  # of inline tables
+            document = tomlkit.parse(_with_rules(text, edits))
         apply_edits(document, edits)
     except (TOMLKitError, ValueError) as error:
         raise UsageError(
@@ -133,14 +183,7 @@ class LiveEdits:
     def __init__(self, path: Path) -> None:
         self._path = path
         self.values: dict[str, Any] = {}
-        self._saved: dict[str, Any] = {}
         self._undo: deque[dict[str, Any]] = deque(maxlen=UNDO_MAX)  # values before each change
-
-    @property
-    def unsaved(self) -> frozenset[str]:
-        """The names of edited keys whose values are not in the file."""
-        kept = {name for name, value in self.values.items() if (name, value) in self._saved.items()}
-        return frozenset(self.values.keys() - kept)
 
     @property
     def undo_count(self) -> int:
@@ -163,14 +206,21 @@ class LiveEdits:
         self.values = self.without_last()
         self._undo.pop()
 
+    def unsaved(self) -> dict[str, Any]:
+        """Return what the file says of each key with another value; None: it lacks the key."""
+        try:
+            document = tomllib.loads(text_of(self._path, or_empty=True)) if self.values else {}
+        except (ValueError, UsageError):  # saving will say what is wrong with the file
+            return dict.fromkeys(self.values)
+        edits = {n: [*v] if isinstance(v, tuple) else v for n, v in self.values.items()}
+        return {n: old for n, v in edits.items() if (old := _value(document, n)) != v}
+
     def save(self) -> None:
         """Write the edits to the config file. UsageError, InternalError: it cannot be changed."""
         text = text_of(self._path, or_empty=True)
         changed = edited_text(text, self.values)
         if changed != text:
-            make_private_folder(self._path.parent)
-            write_bytes_atomically(self._path, changed.encode())
-        self._saved = dict(self.values)
+            write_private(self._path, changed.encode())
         # The file now holds the edits, so undoing an edit must restore the file's earlier value.
         document = tomllib.loads(text)
         before = {name: _value(document, name) for name in self.values}
@@ -178,6 +228,10 @@ class LiveEdits:
 
 
 def _value(document: dict[str, Any], name: str) -> Any:
+    if match := name.partition(RULE)[2]:
+        index = _rule_index(document, match.strip())
+        rule = {} if index is None else document[APPLICATION][index]
+        return {key: value for key, value in rule.items() if key != "match"} if rule else None
     section, _, key = name.rpartition(".")
     table = document.get(section, {}) if section else document
     return table.get(key) if isinstance(table, dict) else None

@@ -1,15 +1,28 @@
 """Reads the config file (TOML), and finds all mistakes in it at once, with line numbers."""
 
-from __future__ import annotations
-
 import os
-from dataclasses import astuple, dataclass, field
+from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from audioflinger_hook.config.applications import ApplicationRule, rule_refusals
 from audioflinger_hook.config.edits import Edits, apply_edits
-from audioflinger_hook.config.profiles import OFFLINE_DEFAULT, parameters_of, values_of
-from audioflinger_hook.config.schema import ACTUATOR, HEADERS, KEYS, REPLACED, SECTIONS, keys_of
+from audioflinger_hook.config.profiles import (
+    LIVE_DEFAULT,
+    OFFLINE_DEFAULT,
+    parameters_of,
+    values_of,
+)
+from audioflinger_hook.config.schema import (
+    ACTUATOR,
+    APPLICATION,
+    ARRAYS,
+    HEADERS,
+    KEYS,
+    REPLACED,
+    SECTIONS,
+    keys_of,
+)
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.config.toml_text import Mistake, lines_of_keys, parse, printable, text_of
 from audioflinger_hook.transform import TransformParameters
@@ -30,6 +43,12 @@ def default_path() -> Path:
     """Return the path of the user's config, in $XDG_CONFIG_HOME or ~/.config."""
     base = os.environ.get("XDG_CONFIG_HOME") or "~/.config"
     return Path(base).expanduser() / "cushion" / "config.toml"
+
+
+def names_a_device() -> bool:
+    """Return whether the user's config names a device. UsageError: the file has mistakes."""
+    path = default_path()
+    return path.exists() and load(path, LIVE_DEFAULT).live.device is not None
 
 
 def load(path: Path, default_profile: str = OFFLINE_DEFAULT, edits: Edits | None = None) -> Config:
@@ -77,9 +96,9 @@ class _Reading:
         self.folder = folder
         self.mistakes = mistakes
         self.shown: dict[str, str] = {}
-        # Accepted values by class and field; for actuators, the values of the latest actuator.
+        # Accepted values by class and field; for arrays, the values of the latest table.
         self.accepted: dict[type[Described], dict[str, Any]] = {key.owner: {} for key in KEYS}
-        self.actuators: list[dict[str, Any]] = []
+        self.arrays: dict[str, list[dict[str, Any]]] = {name: [] for name in ARRAYS}
         self.refused: set[tuple[type[Described], str]] = set()
 
     def read(self, document: dict[str, Any]) -> None:
@@ -87,27 +106,28 @@ class _Reading:
         self._read_table("", "", top)
         for section in SECTIONS[1:]:
             found = document.get(section, {})
-            if section == ACTUATOR:
-                self._read_actuators(found if section in document else None)
+            if section in ARRAYS:
+                self._read_array(section, found if section in document else None)
             elif isinstance(found, dict):
                 self._read_table(section, f"{section}.", found)
             else:
                 self.shown[section] = _shown(found)
                 self._add(section, Refusal("is not a section", HEADERS[section]))
 
-    def _read_actuators(self, found: object) -> None:
+    def _read_array(self, section: str, found: object) -> None:
         tables = found if isinstance(found, list) else []
         good = [table for table in tables if isinstance(table, dict)]
         if found is not None and (not good or len(good) < len(tables)):
-            self._add(ACTUATOR, Refusal("is not an array of tables", HEADERS[ACTUATOR]))
+            self._add(section, Refusal("is not an array of tables", HEADERS[section]))
         for number, table in enumerate(good, 1):
-            self.accepted[ActuatorSettings] = {}
-            self.actuators.append(self.accepted[ActuatorSettings])
-            prefix = f"{ACTUATOR}[{number}]."
-            self._read_table(ACTUATOR, prefix, table)
-            if "channels" not in table:
-                allowed = ActuatorSettings.DESCRIPTIONS["channels"].allowed
-                self._add(f"{prefix}channels", Refusal("is missing", allowed))
+            required = keys_of(section)[ARRAYS[section]]
+            accepted = self.accepted[required.owner] = {}
+            self.arrays[section].append(accepted)
+            prefix = f"{section}[{number}]."
+            self._read_table(section, prefix, table)
+            if required.name not in table:
+                allowed = required.description.allowed
+                self._add(f"{prefix}{required.name}", Refusal("is missing", allowed))
 
     def _read_table(self, section: str, prefix: str, table: dict[str, Any]) -> None:
         known = keys_of(section)
@@ -127,19 +147,30 @@ class _Reading:
                 self.accepted[key.owner][key.field] = key.description.typed(resolved)
 
     def find_contradictions(self) -> None:
-        self.accepted[Settings]["actuators"] = self.actuators
+        self.accepted[Settings]["actuators"] = self.arrays[ACTUATOR]
         owners: tuple[type[Described], ...] = (TransformParameters, Settings, LiveSettings)
         for owner in owners:
-            base = values_of(self.profile) if owner is TransformParameters else {}
-            values = owner.defaults() | base | self.accepted[owner]
-            values = {n: value for n, value in values.items() if (owner, n) not in self.refused}
-            for name, refusal in owner.contradictions(values).items():
+            for name, refusal in self._contradictions(owner, self.profile).items():
                 section = next(k.section for k in KEYS if (k.owner, k.field) == (owner, name))
                 self._add(f"{section}.{name}" if section else name, refusal)
-        wired = [actuator.get("channels", ()) for actuator in self.actuators]
+        for number, rule in enumerate(self.arrays[APPLICATION], 1):
+            profile = rule.get("profile") or self.profile
+            found = self._contradictions(TransformParameters, profile)
+            for name in found.keys() if profile != self.profile else ():
+                wrong = f"does not fit {name} in [transform], which {found[name].wrong}"
+                self._add(f"{APPLICATION}[{number}].profile", replace(found[name], wrong=wrong))
+        wired = [actuator.get("channels", ()) for actuator in self.arrays[ACTUATOR]]
+        for (number, key), refusal in rule_refusals(self.arrays[APPLICATION]).items():
+            self._add(f"{APPLICATION}[{number}].{key}", refusal)
         for number, refusal in wiring_refusals(wired).items():
             if wired[number - 1]:  # If there are no channels, another mistake is already reported.
                 self._add(f"{ACTUATOR}[{number}].channels", refusal)
+
+    def _contradictions(self, owner: type[Described], profile: str) -> dict[str, Refusal]:
+        base = values_of(profile) if owner is TransformParameters else {}
+        values = owner.defaults() | base | self.accepted[owner]
+        values = {n: value for n, value in values.items() if (owner, n) not in self.refused}
+        return owner.contradictions(values)
 
     @property
     def profile(self) -> str:
@@ -154,10 +185,15 @@ class _Reading:
                 "profile": self.profile,
                 "parameters": parameters_of(self.profile, chosen),
                 "said": tuple(chosen),
-                "actuators": tuple(ActuatorSettings(**actuator) for actuator in self.actuators),
+                "actuators": tuple(
+                    ActuatorSettings(**actuator) for actuator in self.arrays[ACTUATOR]
+                ),
             }
         )
-        return Config(settings, LiveSettings(**self.accepted[LiveSettings]))
+        rules = tuple(ApplicationRule(**rule) for rule in self.arrays[APPLICATION])
+        return Config(
+            settings, LiveSettings(**self.accepted[LiveSettings], application_rules=rules)
+        )
 
     def _line(self, key: str) -> int:
         """Return the line number of a key, else that of its section, else 0."""

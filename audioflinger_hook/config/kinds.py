@@ -1,7 +1,5 @@
 """Kinds of values in a config: rigs, files, addresses and names. They check and convert values."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ The profile `paper` has the default of every parameter. docs/decisions.md descri
 that support the reasons.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,27 +1,29 @@
 """Describes all keys of the config file, for `check`, the command line, editors and docs."""
 
-from __future__ import annotations
-
 from dataclasses import MISSING, dataclass, replace
 from typing import Any
 
+from audioflinger_hook.config.applications import ApplicationRule
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, values_of
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings
-from device.values import OFF, Choice, Described, Description, Number, Switch
+from device.values import Choice, Described, Description, Number, Switch
 
 ACTUATOR = "actuator"
-SECTIONS = ("", "transform", "applications", ACTUATOR)  # "" is the top level
-HEADERS = {name: f"[[{name}]]" if name == ACTUATOR else f"[{name}]" for name in SECTIONS[1:]}
+APPLICATION = "application"
+ARRAYS = {ACTUATOR: "channels", APPLICATION: "match"}  # arrays of tables, with their required key
+# "" is the top level
+SECTIONS = ("", "transform", "live", "applications", APPLICATION, ACTUATOR)
+HEADERS = {name: f"[[{name}]]" if name in ARRAYS else f"[{name}]" for name in SECTIONS[1:]}
 
 CHANGES = {  # effect of changing a key while the daemon runs
     "nothing": "no interruption",
     "next stream": "used by streams opened later",
     "stream": "opens one stream again",
     "streams": "opens both streams again",
-    "transform": "restarts the vibration",
-    "engine": "restarts all but the connection",
+    "transform": "cross-fades; the Python engine restarts the vibration",
+    "engine": "cross-fades; the Python engine restarts both streams",
     "another engine": "one engine ends before the other begins",
 }
 
@@ -34,7 +36,7 @@ OPTIONS = {
     "tolerance": "SHARE",
     "tap": "TAP",
     "device": "DEVICE",
-    "offset_ms": "MS",
+    "offset_ms": "MS|auto",
     "device_volume_db": "DB|off",
 }
 """Fields that a command-line option sets, each with the placeholder of its value in help.
@@ -58,6 +60,7 @@ _OWNERS: tuple[tuple[type[Described], str, str], ...] = (
     (Settings, "", "engine"),
     (LiveSettings, "", "stream"),
     (TransformParameters, "transform", "transform"),
+    (ApplicationRule, APPLICATION, "nothing"),
     (ActuatorSettings, ACTUATOR, "nothing"),
 )
 """The classes that hold the keys. Each has a default section and a default effect of changes."""
@@ -79,7 +82,7 @@ class Key:
     @property
     def flag(self) -> str:
         """The command-line option that sets the key; "" if there is none."""
-        has_one = self.field in OPTIONS and self.owner is not ActuatorSettings
+        has_one = self.field in OPTIONS and self.section not in ARRAYS
         return f"--{self.name.replace('_', '-')}" if has_one else ""
 
     @property
@@ -108,8 +111,8 @@ class Key:
     def json_schema(self) -> dict[str, Any]:
         """Return the JSON Schema of the key's value."""
         schema = self.description.json_schema()
-        if isinstance(self.description, Number) and self.description.off:
-            schema = {"anyOf": [schema, {"enum": [OFF]}]}
+        if isinstance(self.description, Number) and self.description.word:
+            schema = {"anyOf": [schema, {"enum": [self.description.word]}]}
         schema = {"description": self.help, **schema}
         if self.default is None or self.default != self.live_default:
             return schema
@@ -136,7 +139,7 @@ def _keys() -> tuple[Key, ...]:
                 described = replace(Settings.DESCRIPTIONS["rig"], meaning=meaning)
             default = getattr(owner, field, MISSING)
             default = live_default = None if default is MISSING else default
-            if field == "profile":
+            if field == "profile" and owner is Settings:
                 live_default = LIVE_DEFAULT
             elif owner is TransformParameters:
                 live_default = values_of(LIVE_DEFAULT).get(field, default)
@@ -164,8 +167,9 @@ def json_schema() -> dict[str, Any]:
     root = _table("")
     for section in SECTIONS[1:]:
         table = _table(section)
-        if section == ACTUATOR:
-            table = {"type": "array", "minItems": 1, "items": {**table, "required": ["channels"]}}
+        if section in ARRAYS:
+            items = {**table, "required": [ARRAYS[section]]}
+            table = {"type": "array", "minItems": 1, "items": items}
         root["properties"][section] = table
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

@@ -1,13 +1,12 @@
 """User settings: the transform, the rig, where the sound comes from, where the vibration goes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from audioflinger_hook.config.applications import ApplicationRule
 from audioflinger_hook.config.kinds import Address, FileName, Names, RigName, Taps
 from audioflinger_hook.config.profiles import OFFLINE_DEFAULT, PROFILES, parameters_of
 from audioflinger_hook.sources import parse_tap
@@ -28,10 +27,11 @@ from device.drive.settings import DAMPING, EXPOSURE_CAP, GAIN_MAX_DB, GAIN_MIN_D
 from device.rig.parameters import LEAST_TOLERANCE, MODELS, Model
 from device.rig.rig import SHIPPED, rig_by_name
 from device.server.forwarding import MAX_DELAY_S
-from device.values import Choice, Described, Number, Refusal, Switch
+from device.values import OFF, Choice, Described, Number, Refusal, Switch
 
 Channels = Literal["mono", "each"]
 
+AUTO = "auto"  # as a value of `offset_ms`: the daemon finds the delay
 OFFSET_MIN_MS, OFFSET_MAX_MS = -1e3 * MAX_DELAY_S, 1_000.0  # an offset below 0 delays the sound
 # Lowest value of the setting. A device whose lowest volume is higher uses its own lowest volume.
 DEVICE_VOLUME_MIN_DB = -96.0
@@ -84,8 +84,7 @@ class Settings(Described):
         Model, Choice("model of the simulated rig; auto: the fastest within tolerance", MODELS)
     ] = "auto"
     tolerance: Annotated[
-        float,
-        Number("largest error of model = auto, as a share of the peak", LEAST_TOLERANCE, 1.0),
+        float, Number("largest error of model = auto, as a share of the peak", LEAST_TOLERANCE, 1.0)
     ] = 0.01
     gain_db: Annotated[
         float, Number("level of the vibration", GAIN_MIN_DB, GAIN_MAX_DB, "dB", change="nothing")
@@ -123,7 +122,7 @@ class Settings(Described):
         allowed = "mono: each [[actuator]] selects its signal with source"
         return {"channels": Refusal("cannot be used with actuators", allowed)}
 
-    def choosing(self, **given: Any) -> Settings:
+    def choosing(self, **given: Any) -> "Settings":
         """Return a copy with `given` values. A new profile changes no parameters in `said`."""
         if given.get("profile") in PROFILES and "parameters" not in given:
             kept = {name: getattr(self.parameters, name) for name in self.said}
@@ -192,15 +191,16 @@ class LiveSettings(Described):
         Address("where the vibration goes", DEVICES, parse_device, "device", change="stream"),
     ] = None
     offset_ms: Annotated[
-        float,
+        float | str,
         Number(
-            "delay of the vibration; a negative delay requires drop_in",
+            "delay of the vibration; auto: as late as the sound; a negative delay requires drop_in",
             OFFSET_MIN_MS,
             OFFSET_MAX_MS,
             "ms",
+            word=AUTO,
             change="nothing",
         ),
-    ] = 0.0
+    ] = AUTO
     drop_in: Annotated[
         bool, Switch("applications play to a virtual sink, which delays the sound", change="stream")
     ] = False
@@ -225,7 +225,7 @@ class LiveSettings(Described):
             DEVICE_VOLUME_MIN_DB,
             0.0,
             "dB",
-            off=True,
+            word=OFF,
             change="nothing",
         ),
     ] = None
@@ -236,6 +236,10 @@ class LiveSettings(Described):
     exclude: Annotated[
         tuple[str, ...], Names("applications to leave out", section="applications", change="stream")
     ] = ()
+    feel_calls_and_alerts: Annotated[
+        bool, Switch("feel calls, notifications and alerts", section="live", change="nothing")
+    ] = False
+    application_rules: tuple[ApplicationRule, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -249,12 +253,13 @@ class LiveSettings(Described):
 
         A negative offset delays the sound, which only drop-in mode can do.
         """
-        if values.get("drop_in") is not False or values.get("offset_ms", 0.0) >= 0.0:
+        offset_ms = values.get("offset_ms", AUTO)
+        if values.get("drop_in") is not False or offset_ms == AUTO or offset_ms >= 0.0:
             return {}
         allowed = f"0 to {OFFSET_MAX_MS:g} ms, or drop_in = true"
         return {"offset_ms": Refusal("is below 0 without drop_in", allowed)}
 
     @property
-    def offset_s(self) -> float:
-        """The delay of the vibration in seconds; below 0, the sound is delayed instead."""
-        return 1e-3 * self.offset_ms
+    def offset_s(self) -> float | None:
+        """The delay of the vibration in seconds; below 0, the sound is delayed. None: auto."""
+        return None if isinstance(self.offset_ms, str) else 1e-3 * self.offset_ms

@@ -1,7 +1,5 @@
 """The text of a config file: parsing, syntax errors, and the line numbers of keys."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from dataclasses import dataclass

@@ -100,8 +100,11 @@ static void take_controls(Core *core, size_t which, const ActuatorControls *cont
                           info->drive_latency_frames - own + (size_t)(delay + 0.5)};
     const int audible = LOAD(controls->audible) != 0;
     Actuator *actuator = &core->actuators[which];
-    if (core->state->is_opened && LOAD(controls->restores))
+    const uint64_t restores = LOAD(controls->restores);
+    if (core->state->is_opened && restores)
         actuator_set_safety(actuator, &controls->safety);
+    else if (restores == core->state->frames + 1)
+        actuator_set_temperatures(actuator, &controls->safety);
     actuator_set(actuator, tap, gain, audible, core->state->is_fresh);
 }
 

@@ -45,13 +45,14 @@ typedef struct {
     CoreDose dose;
 } ActuatorSafety;
 
-/* Settings of one actuator. A change of gain, delay, source or `audible` fades over 10 to 40 ms. */
+/* Settings of one actuator. A change of gain, delay, source or `audible` fades over 40 ms. */
 typedef struct {
     double gain;         /* -1 to 1; below 0: inverted polarity */
     double delay_frames; /* 0 or more, added to the delay that all actuators share */
     uint64_t source;     /* index of the vibration channel */
     uint64_t audible;    /* 0: the output fades to silence */
-    uint64_t restores;   /* 1: the first core_process after core_open restores `safety` */
+    uint64_t restores;   /* not 0: the first core_process after core_open restores `safety`. F + 1: so does a
+                          * core_process after exactly F frames, but only the temperatures */
     ActuatorSafety safety;
 } ActuatorControls;
 

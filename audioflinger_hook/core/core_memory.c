@@ -74,7 +74,8 @@ const char *core_check(const void *bytes, size_t size, CoreInfo *info)
     const char *misfit = core_design_read(&core.design, drives, bytes, size);
     core.drives = drives;
     if (!misfit && !layout(&core, &arena))
-        misfit = "fft_length: has other factors than 2, 3 and 5";
+        misfit = core.live.short_fft.length ? "short_length: has other factors than 2, 3 and 5"
+                                            : "fft_length: has other factors than 2, 3 and 5";
     if (misfit)
         return misfit;
     *info = core.design.info;

@@ -1,7 +1,5 @@
 """Packs the numbers of transform, mixes and actuators into a design, the input of the core."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -25,7 +23,7 @@ def core_design(
     transform: Records | None = None,
     each: bool = False,
     mixes: Sequence[FloatArray] = (),
-    drives: Sequence[DriveDesign | None] = (),
+    drives: "Sequence[DriveDesign | None]" = (),
     delay_frames_max: int = 0,
 ) -> bytes:
     """Return the bytes of a design.

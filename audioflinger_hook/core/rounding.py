@@ -5,8 +5,6 @@ these bits. `round_filter` rounds poles and zeros instead of coefficients. In a 
 order, small errors of coefficients would move the poles too far.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import fields, replace
@@ -46,9 +44,9 @@ def round_section(section: Any, exact: Sequence[str] = ()) -> Any:
     changes: dict[str, Any] = {}
     for item in fields(section):
         value = getattr(section, item.name)
-        if item.type == "float" and item.name not in exact:
+        if item.type is float and item.name not in exact:
             changes[item.name] = round_number(float(value))
-        elif item.type == "FloatArray" and item.name not in exact:
+        elif item.type == FloatArray and item.name not in exact:
             changes[item.name] = round_table(value)
     return replace(section, **changes)
 

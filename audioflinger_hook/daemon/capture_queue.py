@@ -13,8 +13,6 @@ from audioflinger_hook.sources import PushTap, TapClient
 from device.units import Float32Array
 
 UNASKED_S = 0.05  # after this time without a call of `Engine.fill`, the capture thread mixes
-UNDONE_MAX_DB = 40.0  # largest gain that compensates the volume, on servers other than PipeWire
-PIPEWIRE_UNDONE_MAX_DB = 80.0  # largest gain that compensates the volume, on PipeWire
 
 
 class FrameReceiver(Protocol):
@@ -32,8 +30,7 @@ class FrameReceiver(Protocol):
 
 def undone_db(volume_db: float, server: str) -> float:
     """Return `volume_db` (0 dB is 100 %), but at least -80 dB on PipeWire and -40 dB elsewhere."""
-    limit_db = PIPEWIRE_UNDONE_MAX_DB if server == "PipeWire" else UNDONE_MAX_DB
-    return max(-limit_db, volume_db)
+    return max(-80.0 if server == "PipeWire" else -40.0, volume_db)
 
 
 class SoundGain:

@@ -1,7 +1,5 @@
 """Creates the input and the output for a `RunConfig`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from audioflinger_hook.daemon.capture_queue import CaptureQueue, Feed
@@ -15,7 +13,7 @@ from audioflinger_hook.daemon.outputs.card import CardOutput
 from audioflinger_hook.daemon.outputs.paced import PacedOutput
 from audioflinger_hook.daemon.outputs.sink import SinkOutput
 from audioflinger_hook.daemon.pacing import Pacer
-from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
+from audioflinger_hook.daemon.run_config import Change, RunConfig, changes_between
 from audioflinger_hook.service.state import StateKeeper
 from device.errors import UsageError
 from device.stream import AudioPriority, PcmConfig
@@ -68,7 +66,7 @@ class Endpoints:
                 "daemon"
             )
         paced = [old.tap] * (not old.tap_is_live) + [old.device] * (not old.device_is_live)
-        if paced and ConfigDiff.between(old, new).engine:
+        if paced and Change.ENGINE in changes_between(old, new):
             raise UsageError(
                 "form, channels, effects_file, rig, damping, protection and the list of actuators "
                 f"cannot change while {str(paced[0])!r} is in use; restart the daemon"
@@ -78,11 +76,6 @@ class Endpoints:
         if old.recording and old.settings != new.settings:
             raise UsageError("settings cannot change during --record; restart the daemon")
         _ = new.rules  # raises if a rule is invalid
-
-    def configure(self, config: RunConfig) -> None:
-        """Apply a config to the current input and output."""
-        self.input.configure(config)
-        self.output.configure(config)
 
     def retarget_input(self, config: RunConfig) -> bool:
         """Change the input to the config's tap; return whether a new engine is necessary."""
@@ -124,29 +117,14 @@ class Endpoints:
             return ApplicationsInput(config, self._states, apps)
         assert self._pcms is not None
         queue = self.feed = CaptureQueue(config.recording)
-        return SinkInput(
-            config.tap,
-            self._pcms.pcms["cushion_tap"],
-            self._states,
-            queue,
-            block_frames=config.live.block_frames,
-            priority=self._priority,
-            on_heard=self._on_heard,
-        )
+        pcm = self._pcms.pcms["cushion_tap"]
+        tap = SinkInput(config.tap, pcm, self._states, queue, self._priority, self._on_heard)
+        tap.configure(config)
+        return tap
 
     def _make_output(self, config: RunConfig) -> Output:
         if not config.device_is_live:
-            return PacedOutput(config.device, self._pacer, config.settings, config.recording)
+            return PacedOutput(config, self._pacer)
         assert self._pcms is not None
         kind = CardOutput if config.device_is_a_card else SinkOutput
-        output = kind(
-            config.device,
-            self._pcms.pcms["cushion_output"],
-            self._states,
-            config.recording,
-            block_frames=config.live.block_frames,
-            priority=self._priority,
-            actuators=config.settings.actuators,
-        )
-        output.volume.request(config)
-        return output
+        return kind(config, self._pcms.pcms["cushion_output"], self._states, self._priority)

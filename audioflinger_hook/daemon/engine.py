@@ -1,7 +1,5 @@
 """The Python engine: sound passes through mixer, effect and drive into a delay line."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,7 +14,6 @@ from audioflinger_hook.service.meters import BufferClock, BufferedLevelMeter, Le
 from audioflinger_hook.sources import Client
 from device.clock import DelayLine
 from device.clock.frame_clock import STALLED_S
-from device.errors import UsageError
 from device.units import Float32Array, FloatArray
 
 # Smallest assumed lateness of callbacks. Lateness up to this value does not change the delay.
@@ -36,6 +33,8 @@ class Clocks:
     used_s: Callable[[], float]
     slept_s: Callable[[], float] = float
 
+
+CAPACITY_S = 3.0  # length of the delay line, which suffices for an offset of 2 s
 
 # Called with (mixed sound, vibration before the drive, time in s) of one cycle.
 OnStep = Callable[[Float32Array, Float32Array, float], None]
@@ -114,6 +113,7 @@ class Engine:
             self.drive.outputs,
             self.samplerate,
             samplerate,
+            capacity_s=CAPACITY_S,
             capture_block=self.block_frames,
             output_block=self.block_frames,
             offset_s=offset_s,
@@ -132,18 +132,9 @@ class Engine:
             self.delay_line = self._line(samplerate, self.delay_line.offset_s)
             self._drop_ahead()
 
-    def follow(self, settings: Settings, offset_s: float) -> None:
-        """Change the settings and the delay that the user adds. Only the main thread may call it.
-
-        After a UsageError, nothing has changed.
-        """
-        before_s = self.delay_line.offset_s
-        self.delay_line.offset_s = offset_s
-        try:
-            self.framework.change(settings)
-        except UsageError:
-            self.delay_line.offset_s = before_s
-            raise
+    def follow(self, settings: Settings) -> None:
+        """Change the settings; after a UsageError, nothing has changed. For the main thread."""
+        self.framework.change(settings)
         self.drive.change(settings.actuators)
 
     def advance(self, now_s: float, earlier: Sequence[tuple[float, int]] = ()) -> bool:

@@ -3,10 +3,8 @@
 One engine ends before the other begins.
 """
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from pathlib import Path
 
 from audioflinger_hook.core.compiled_core import library
@@ -18,9 +16,10 @@ from audioflinger_hook.daemon.live_memory import live_memory
 from audioflinger_hook.daemon.native.abilities import why_not_tap, why_python
 from audioflinger_hook.daemon.native.run import NativeRun
 from audioflinger_hook.daemon.outputs.base import StreamOutput
-from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
+from audioflinger_hook.daemon.run_config import SLIGHT, Change, RunConfig
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
 from audioflinger_hook.drive.drive import DrivenRig
+from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.service.state import StateKeeper
 from device.server import PulseConnection, ServerSnapshot
 from device.stream.callback_thread import priority_advice
@@ -60,7 +59,7 @@ class Engines:
         self._ends_s: float | None = None
         self._follows_native = False
         self._chosen_for: tuple[object, ...] = ()
-        self._streams_gain = 1.0
+        self._streams_gain, self._offset_s = 1.0, 0.0
         self._played_s = self._heard_before_s = self.volume_db = 0.0
         self.python: Engine | None = None
         self.native = NativeRun(config, folder, states, on_change, self._restore)
@@ -92,11 +91,11 @@ class Engines:
 
     @property
     def counts(self) -> tuple[int, int]:
-        """Numbers of frames processed and of samples limited by the present engine."""
+        """Numbers of samples limited and of frames processed by the present engine."""
         native, python = self.native.engine, self.python
         if native is not None and native.chain is not None:
-            return native.chain.page.frames, native.chain.page.readings.limited
-        return (python.frames, python.framework.limited_samples) if python else (0, 0)
+            return native.chain.page.readings.limited, native.chain.page.frames
+        return (python.framework.limited_samples, python.frames) if python else (0, 0)
 
     @property
     def warnings(self) -> Iterator[str]:
@@ -108,13 +107,14 @@ class Engines:
             yield f"the sink's monitor is tapped, one cycle later: {native.monitor_reason}"
         if native.chains.problem:
             yield native.chains.problem
-        if native.lacks_realtime:
+        current = native.chains.current
+        if current and current.has_realtime is False and self._config.live.realtime:
             yield priority_advice()
 
     def record(self, now_s: float) -> None:
         """Record coil temperatures and vibration doses, at most once per `safety_keeper.SAVE_S`."""
         for rig in filter(None, self.rigs):
-            rig.keep()
+            rig.keep(now_s, self._clocks.slept_s())
         self.safety.update(self.rigs, now_s)
 
     @property
@@ -131,14 +131,30 @@ class Engines:
             self.safety.restore(rigs)
         self.safety.carry_over(self.rigs, rigs)
 
-    def follow(self, config: RunConfig, changes: ConfigDiff) -> None:
-        """Apply another config. changes: its differences from the current config."""
+    def follow(self, config: RunConfig, changes: Set[Change]) -> None:
+        """Apply another config. changes: its differences from the current config.
+
+        After a UsageError, nothing has changed.
+        """
+        settings, engine = config.settings, self.python
+        if engine and Change.ENGINE in changes:  # raises if the new engine is impossible
+            framework = Framework(engine.samplerate, engine.channels, settings)
+            drive_of(settings, engine.samplerate, framework.haptic_channels)
+        elif engine:
+            engine.follow(settings)
         self._config = config
-        if changes.concerns_engine:
+        if changes - SLIGHT:
             self._chosen_for = ()
         if self.python is not None and self._ends_s is None:
             self.python.mute.audible = not config.muted
         self.native.follow(config)
+
+    def set_offset(self, offset_s: float) -> None:
+        """Set the delay of the vibration in seconds, for the present engine and later ones."""
+        self._offset_s = offset_s
+        if self.python is not None:
+            self.python.delay_line.offset_s = offset_s
+        self.native.set_offset(offset_s)
 
     def drop(self) -> None:
         """Record the rigs' state and remove the Python engine; `prepare` creates a new engine."""
@@ -158,11 +174,7 @@ class Engines:
             self.python.live.close()
 
     def maintain(
-        self,
-        connection: PulseConnection | None,
-        source: AudioNode,
-        device: AudioNode,
-        now_s: float,
+        self, connection: PulseConnection | None, source: AudioNode, device: AudioNode, now_s: float
     ) -> bool:
         """Choose an engine and end the other; return whether the Python engine must not play."""
         seen = connection.latest if connection else None
@@ -225,7 +237,10 @@ class Engines:
             is_felt = not tap.is_muted(snapshot)
             streams_db = tap.monitor_db(snapshot)
             if self._config.settings.parameters.loudness_db > 0.0:
-                volume_db = tap.volume_db(snapshot)
+                native = self.native.engine
+                taps_streams = native is not None and not native.monitor_reason
+                left_out = self._config.left_out if taps_streams else None
+                volume_db = tap.volume_db(snapshot, left_out)
                 # At 0 %, keep the gain. The largest gain would turn the next sound into a burst.
                 silent = volume_db == -math.inf
                 self.volume_db = before_db if silent else undone_db(volume_db, snapshot.kind)
@@ -250,7 +265,7 @@ class Engines:
                 device.samplerate or source.samplerate,
                 self._config.settings,
                 clocks=self._clocks,
-                offset_s=max(0.0, self._config.live.offset_s),
+                offset_s=self._offset_s,
                 block_frames=self._config.live.block_frames,
                 now_s=now_s,
                 bypass_late=self._endpoints.input.needs_server,

@@ -36,9 +36,7 @@ class LimitAdvice:
         if share < SHARE:
             return ""
         found = f"{100.0 * share:.0f} % of the latest minute's vibration was limited at full scale"
-        parameters = settings.parameters
-        if parameters.loudness_db > 0.0:
-            return (
-                f"{found}; lower loudness_target_db, which is {parameters.loudness_target_db:g} dB"
-            )
+        if settings.parameters.loudness_db > 0.0:
+            target_db = settings.parameters.loudness_target_db
+            return f"{found}; lower loudness_target_db, which is {target_db:g} dB"
         return f"{found}; lower the volume of the sound"

@@ -3,9 +3,11 @@
 Values are checked like values of the config file. A request has one of these forms:
 
     "set": {"gain_db": -6.0}                   change keys of the config; null sets the default
-    "application": "Firefox", "felt": false    choose whether an application causes vibration
+    "application": {"match": "mpv", "feel": false}    change its rule; null removes a value
     "mute": true                               mute the vibration; false ends the mute
     "tone": {"hz": 60, "level": 0.2}           start the test tone; null stops the tone
+    "sync": {"try_ms": 120}                    play an offset on trial; null ends the trial
+    "sync": {"store_ms": 120}                  store an offset for the present pair of sinks
     "undo": true                               undo the last change of the config
     "save": true                               write the changes to the config file
 
@@ -13,20 +15,18 @@ The answer is `{"done": true}` or `{"error": message}`. If a value is refused,
 the answer also has the key of this value as `"key"`.
 """
 
-from __future__ import annotations
-
 import subprocess
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from audioflinger_hook.config.edits import EDITABLE, LiveEdits, editable
+from audioflinger_hook.config.allowed_now import allowed_now
+from audioflinger_hook.config.edits import EDITABLE, RULE, LiveEdits, editable
 from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from audioflinger_hook.config.schema import CHANGES, Key
 from audioflinger_hook.config.settings import LiveSettings, Settings
-from audioflinger_hook.daemon.applications import choosing
 from audioflinger_hook.daemon.page_frames import frame_of
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
@@ -34,6 +34,7 @@ from audioflinger_hook.service.install import own_command
 from audioflinger_hook.service.one_line import one_line
 from device.errors import CushionError, UsageError
 from device.units import db_to_amplitude
+from device.values import Described
 
 WAITING_MAX = 16  # largest number of waiting requests
 ANSWER_S = 3.0  # longest wait for an answer
@@ -130,9 +131,10 @@ class LiveControl:
     def _carry_out(self, asked: dict[str, Any]) -> dict[str, Any]:
         actions: dict[str, Callable[[Any], None]] = {
             "set": self._set,
-            "application": lambda name: self._choose(name, asked.get("felt")),
+            "application": self._rule,
             "mute": self._mute,
             "tone": self._play_tone,
+            "sync": self._sync,
             "undo": lambda _: self._undo(),
             "save": lambda _: self._edits.save(),
         }
@@ -160,17 +162,32 @@ class LiveControl:
             if refusal:
                 raise _Refused(name, f"{one_line(str(value), 60)} {refusal}")
             typed[name] = None if value is None else described.typed(value)
-        try:
-            self._apply({**self._edits.values, **typed}, self._config.muted)
-        except CushionError as error:
-            raise _Refused(next(iter(typed)), one_line(str(error), 400)) from error
-        self._edits.accept(typed)
+        self._edit(typed)
 
-    def _choose(self, name: object, is_felt: object) -> None:
-        if not isinstance(name, str) or not name.strip() or not isinstance(is_felt, bool):
-            raise UsageError('give the name of an application, and "felt" as true or false')
-        live = self._config.live
-        self._set({k: [*v] for k, v in choosing(name, is_felt, live.include, live.exclude).items()})
+    def _edit(self, changes: Mapping[str, Any]) -> None:
+        try:
+            self._apply({**self._edits.values, **changes}, self._config.muted)
+        except CushionError as error:
+            raise _Refused(next(iter(changes)), one_line(str(error), 400)) from error
+        self._edits.accept(changes)
+
+    def _rule(self, given: object) -> None:
+        if not isinstance(given, dict) or not isinstance(given.get("match"), str) or len(given) < 2:
+            raise UsageError('application takes {"match": NAME} with feel, profile or gain_db')
+        match, live = given["match"].strip(), self._config.live
+        if given.get("feel") is False and self._supervisor.is_mixed:
+            # Only captures of single applications can leave out one of them.
+            self._set({"applications.exclude": [*live.exclude, match]})
+            return
+        present: dict[str, Any] = {}
+        for one in live.application_rules:
+            if one.match.strip().casefold() == match.casefold():
+                match, present = one.match, vars(one)
+        if False in (given.get("feel"), present.get("feel")):  # contradicts the other keys
+            present = {}
+        rule = {**present, **given, "match": None}
+        rule = {n: v for n, v in rule.items() if v is not None and (n, v) != ("gain_db", 0.0)}
+        self._edit({RULE + match: rule or None})
 
     def _mute(self, muted: object) -> None:
         if not isinstance(muted, bool):
@@ -212,25 +229,41 @@ class LiveControl:
         nothing = subprocess.DEVNULL
         self._tone = subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing)
 
+    def _sync(self, wanted: object) -> None:
+        offset = self._supervisor.alignment.offset
+        actions: dict[str, Callable[[Any], None]]
+        actions = {"try_ms": offset.try_out, "store_ms": offset.store}
+        if not isinstance(wanted, dict) or len(wanted) != 1 or not wanted.keys() <= set(actions):
+            raise UsageError('sync takes {"try_ms": MS}, {"try_ms": null} or {"store_ms": MS}')
+        ((name, offset_ms),) = wanted.items()
+        ends = name == "try_ms" and offset_ms is None
+        if not ends and type(offset_ms) not in (int, float):
+            raise UsageError(f"{name} takes a number of ms")
+        # UsageError: the offset is not allowed
+        actions[name](None if ends else replace(self._config.live, offset_ms=offset_ms).offset_s)
+
     def _tell(self) -> None:
         """Set `settings` to a new object, by which the status server detects the change."""
-        unsaved, config = self._edits.unsaved, self._config
+        config, filed = self._config, self._edits.unsaved()
         self._level = 0.0 if config.muted else db_to_amplitude(config.settings.gain_db)
         self.settings = {
             "keys": [
-                _shown(name, key, self._value_of(key)) | {"unsaved": name in unsaved}
+                _shown(name, key, self._owner_of(key))
+                | {"unsaved": name in filed, "file": filed.get(name)}
                 for name, key in EDITABLE.items()
             ],
-            "unsaved": len(unsaved),
+            "rules": [vars(one) for one in config.live.application_rules],
+            "unsaved_rules": [name.partition(RULE)[2] for name in filed if RULE in name],
+            "unsaved": len(filed),
             "undo": self._edits.undo_count,
             "muted": config.muted,
             "tone": self._tone is not None,
             "recording": config.recording is not None,
         }
 
-    def _value_of(self, key: Key) -> Any:
+    def _owner_of(self, key: Key) -> Described:
         owners = {Settings: self._config.settings, LiveSettings: self._config.live}
-        return getattr(owners.get(key.owner, self._config.settings.parameters), key.field)
+        return owners.get(key.owner, self._config.settings.parameters)
 
 
 class _Refused(UsageError):
@@ -239,15 +272,16 @@ class _Refused(UsageError):
         self.key = key
 
 
-def _shown(name: str, key: Key, value: Any) -> dict[str, Any]:
+def _shown(name: str, key: Key, owner: Described) -> dict[str, Any]:
     described = key.description
+    schema = {k: v for k, v in described.json_schema().items() if k != "description"}
     return {
         "key": name,
         "meaning": described.meaning,
         "allowed": described.allowed,
-        "schema": {k: v for k, v in described.json_schema().items() if k != "description"},
+        "schema": schema | allowed_now(owner, key.field),
         "unit": getattr(described, "unit", ""),
         "default": LIVE_DEFAULT if name == "profile" else key.default,
-        "value": value,
+        "value": getattr(owner, key.field),
         "change": CHANGES[key.change],
     }

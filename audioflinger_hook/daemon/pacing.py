@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable
+from fractions import Fraction
 from typing import Protocol
 
 BURST = 64  # largest number of late blocks in a row before other threads may run
@@ -25,23 +26,16 @@ class PacedJob(Protocol):
 class FrameTime:
     """Duration of all added frames. Only one thread at a time may use an instance."""
 
-    def __init__(self, samplerate: int) -> None:
-        self._before_s = 0.0
-        self._frames = 0
-        self._samplerate = samplerate
+    def __init__(self) -> None:
+        self._duration_s = Fraction()
 
     def after(self, frames: int, samplerate: int) -> float:
         """Return the duration in seconds after `frames` more frames at `samplerate` Hz."""
-        if samplerate != self._samplerate:
-            return self._before_s + self._frames / self._samplerate + frames / samplerate
-        return self._before_s + (self._frames + frames) / samplerate
+        return float(self._duration_s + Fraction(frames, samplerate))
 
     def add(self, frames: int, samplerate: int) -> None:
         """Add `frames` frames at `samplerate` Hz."""
-        if samplerate != self._samplerate:
-            self._before_s += self._frames / self._samplerate
-            self._frames, self._samplerate = 0, samplerate
-        self._frames += frames
+        self._duration_s += Fraction(frames, samplerate)
 
 
 class Pacer:

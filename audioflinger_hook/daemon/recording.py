@@ -1,10 +1,8 @@
 """Recordings of `cushion run --record`: buffers of tap, effect and device in one capture."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
@@ -32,7 +30,11 @@ def facts_of(settings: Settings) -> Facts:
     """Return all settings that are not None, keyed by name. Paths become absolute."""
     chosen = {field.name: getattr(settings, field.name) for field in fields(settings)}
     parameters = chosen.pop(NESTED)
-    chosen[ACTUATORS] = _as_text(chosen[ACTUATORS])
+    tables = [
+        asdict(replace(one, rig=one.rig and _absolute(one.rig))) for one in settings.actuators
+    ]
+    said = [{key: value for key, value in one.items() if value is not None} for one in tables]
+    chosen[ACTUATORS] = json.dumps(said) if said else None
     chosen[SAID] = ",".join(chosen[SAID]) or None
     chosen |= {field.name: getattr(parameters, field.name) for field in fields(parameters)}
     chosen["rig"] = _absolute(chosen["rig"])
@@ -65,14 +67,6 @@ def settings_from(facts: Facts) -> Settings | None:
         ) from None
 
 
-def _as_text(actuators: tuple[ActuatorSettings, ...]) -> str | None:
-    if not actuators:
-        return None
-    tables = [asdict(replace(one, rig=one.rig and _absolute(one.rig))) for one in actuators]
-    said = [{key: value for key, value in one.items() if value is not None} for one in tables]
-    return json.dumps(said)
-
-
 def _absolute(rig: str) -> str:
     return rig if rig in SHIPPED else str(Path(rig).absolute())
 
@@ -82,7 +76,7 @@ def _named(kind: type[Any], facts: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in facts.items() if name in names}
 
 
-class RunRecording:
+class RunRecording(AbstractContextManager["RunRecording"]):
     """Records one run as a capture with streams `tap`, `effect` and `device`.
 
     A replay of `tap` reproduces `effect` bit for bit, unless an effect was bypassed. If writing
@@ -169,9 +163,6 @@ class RunRecording:
         """Complete the capture; raise its error, if any. All other threads must have ended."""
         if self._recorder:
             self._recorder.close()
-
-    def __enter__(self) -> RunRecording:
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None or not issubclass(kind, CushionError):

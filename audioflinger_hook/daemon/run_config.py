@@ -1,8 +1,8 @@
 """The configuration of one run of the daemon, and the difference between two configurations."""
 
-from __future__ import annotations
-
-from dataclasses import astuple, dataclass, replace
+from collections.abc import Callable, Set
+from dataclasses import dataclass, replace
+from enum import Enum
 from operator import attrgetter
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
@@ -11,6 +11,7 @@ from audioflinger_hook.sources import TapAddress, parse_tap
 from device.address import DeviceAddress
 from device.errors import UsageError
 from device.server import AppRules
+from device.server.left_out import LeftOut
 
 # Kinds of taps and devices. A thread of the daemon paces the kinds that are not live.
 LIVE_TAPS = ("default", "sink", "app")
@@ -73,110 +74,95 @@ class RunConfig:
         """Rules that select applications, None for all. UsageError: the rules are invalid."""
         include, exclude = self.live.include, self.live.exclude
         if self.tap.kind == "app":
-            return AppRules((*(parse_tap(tap).name for tap in self.live.tap), *include), exclude)
+            named = (parse_tap(tap).name for tap in self.live.tap)
+            return AppRules((*named, *include), exclude, self.left_out.rules)
         if not include and not exclude:
             return None
         if self.tap.kind == "default":
-            return AppRules(include, exclude)
+            return AppRules(include, exclude, self.left_out.rules)
         raise UsageError(
             f"applications cannot be chosen from the tap {str(self.tap)!r}; to use include or "
             "exclude in [applications], set tap to default or app:NAME"
         )
 
+    @property
+    def left_out(self) -> LeftOut:
+        """Which streams cause no vibration, apart from `rules`."""
+        rules = self.live.application_rules
+        feels = tuple((one.rule, one.feel) for one in rules if one.feel is not None)
+        return LeftOut(feels, self.live.feel_calls_and_alerts)
 
-@dataclass(frozen=True)
-class ConfigDiff:
-    """The groups of settings that differ between two configs.
 
-    A change of level, actuators, volume, offset or priority interrupts nothing. A change of
-    transform fades the vibration out and in again. A change of device reopens its stream. A change
-    of tap moves or reopens its stream, or reopens both streams for a new engine. A change of blocks
-    reopens both streams. A change of drop_in creates or removes the virtual sink. A change of
-    engine restarts the engine and both streams. After a change of way (the key `engine`), the
-    daemon chooses again between the native and the Python engine.
+class Change(Enum):
+    """A group of settings that differ between two configs; the value is its name for users.
+
+    Only these interrupt anything: TRANSFORM fades the vibration out and in again, DEVICE reopens
+    its stream, TAP moves or reopens its stream or reopens both for a new engine, and BLOCKS reopens
+    both streams. DROP_IN creates or removes the virtual sink. ENGINE restarts the engine and both
+    streams. After WAY (the key `engine`), the daemon chooses again between native and Python.
     """
 
-    level: bool = False
-    actuators: bool = False
-    volume: bool = False
-    offset: bool = False
-    priority: bool = False
-    transform: bool = False
-    tap: bool = False
-    device: bool = False
-    drop_in: bool = False
-    blocks: bool = False
-    way: bool = False
-    engine: bool = False
-
-    @classmethod
-    def between(cls, old: RunConfig, new: RunConfig) -> ConfigDiff:
-        """Return the difference from `old` to `new`."""
-        before, after = old.settings, new.settings
-        # A running effect accepts another gain and other parameters, so also another profile.
-        levels = {name: getattr(before, name) for name in LEVELS}
-        kept = {name: getattr(before, name) for name in ("profile", "parameters", "said")}
-        unaffected = replace(after, **levels, **kept)
-        actuators_change = _can_change(before, after)
-        if actuators_change:
-            unaffected = replace(unaffected, actuators=before.actuators)
-        return cls(
-            level=old.muted != new.muted
-            or any(getattr(after, name) != value for name, value in levels.items()),
-            actuators=actuators_change and before.actuators != after.actuators,
-            volume=old.live.device_volume_db != new.live.device_volume_db,
-            offset=old.live.offset_ms != new.live.offset_ms,
-            priority=old.live.realtime != new.live.realtime,
-            transform=before.parameters != after.parameters,
-            tap=_selected_sound(old) != _selected_sound(new),
-            device=old.device != new.device,
-            drop_in=old.live.drop_in != new.live.drop_in,
-            way=old.live.engine != new.live.engine,
-            blocks=old.live.block_frames != new.live.block_frames,
-            engine=before != unaffected,
-        )
-
-    @property
-    def concerns_engine(self) -> bool:
-        """Whether to choose again between the native and the Python engine."""
-        slight = dict.fromkeys(("level", "volume", "offset", "priority"), False)
-        return replace(self, **slight).any
-
-    @property
-    def any(self) -> bool:
-        """Whether anything differs."""
-        return any(astuple(self))
-
-    def __str__(self) -> str:
-        words = {
-            "the level": self.level,
-            "the actuators": self.actuators,
-            "the device's volume": self.volume,
-            "the offset": self.offset,
-            "the audio threads' priority": self.priority,
-            "the transform, which restarts": self.transform and not self.engine,
-            "the tap": self.tap,
-            "the device": self.device,
-            "the virtual sink": self.drop_in,
-            "the engine": self.way,
-            "the block length, which reopens both streams": self.blocks and not self.engine,
-            "the effects, which restart everything": self.engine,
-        }
-        changed = [text for text, is_so in words.items() if is_so]
-        return ", ".join(changed) or "nothing"
+    LEVEL = "the level"
+    ACTUATORS = "the actuators"
+    VOLUME = "the device's volume"
+    OFFSET = "the offset"
+    PRIORITY = "the audio threads' priority"
+    TRANSFORM = "the transform"
+    TAP = "the tap"
+    LEFT_OUT = "the applications' rules"
+    DEVICE = "the device"
+    DROP_IN = "the virtual sink"
+    WAY = "the engine"
+    BLOCKS = "the block length, which reopens both streams"
+    ENGINE = "the effects"
 
 
-def _can_change(before: Settings, after: Settings) -> bool:
-    """Whether actuators can change while they play.
+# After these changes, the daemon does not choose again between the native and the Python engine.
+SLIGHT = {
+    *(Change.LEVEL, Change.ACTUATORS, Change.VOLUME, Change.OFFSET, Change.PRIORITY),
+    *(Change.TRANSFORM, Change.LEFT_OUT),
+}
 
-    The sources and each actuator's rig, damping, protection and exposure cap must not change.
-    """
+
+def changes_between(old: RunConfig, new: RunConfig) -> set[Change]:
+    """Return the groups of settings that differ."""
+    found = {change for change, read in _READ.items() if read(old) != read(new)}
+    before, after = old.settings, new.settings
+    # A running effect accepts another gain and other parameters, so also another profile.
+    names = (*LEVELS, "profile", "parameters", "said")
+    unaffected = replace(after, **{name: getattr(before, name) for name in names})
+    # Actuators can change while they play, but neither the sources nor these keys of an actuator.
     fixed = attrgetter("rig", "damping", "protection", "exposure_cap")
-    were, are = map(fixed, before.actuators), map(fixed, after.actuators)
-    return before.sources == after.sources and [*were] == [*are]
+    were, are = ([*map(fixed, one.actuators)] for one in (before, after))
+    if before.sources == after.sources and were == are:
+        unaffected = replace(unaffected, actuators=before.actuators)
+        found |= {Change.ACTUATORS} if before.actuators != after.actuators else set()
+    return found | {Change.ENGINE} if before != unaffected else found
+
+
+def words_of(changes: Set[Change]) -> str:
+    """Return the changes for the user, "nothing" for none."""
+    hidden = {Change.TRANSFORM, Change.BLOCKS} if Change.ENGINE in changes else set()
+    return ", ".join(one.value for one in Change if one in changes - hidden) or "nothing"
 
 
 def _selected_sound(config: RunConfig) -> tuple[object, ...]:
     live = config.live
     apps = live.tap if config.tap.kind == "app" else ()
-    return config.tap, apps, live.include, live.exclude
+    left_out = config.left_out if apps or live.include or live.exclude else None
+    return config.tap, apps, live.include, live.exclude, left_out
+
+
+_READ: dict[Change, Callable[[RunConfig], object]] = {
+    Change.LEVEL: attrgetter("muted", *(f"settings.{name}" for name in LEVELS)),
+    Change.VOLUME: attrgetter("live.device_volume_db"),
+    Change.OFFSET: attrgetter("live.offset_ms"),
+    Change.PRIORITY: attrgetter("live.realtime"),
+    Change.TRANSFORM: attrgetter("settings.parameters"),
+    Change.TAP: _selected_sound,
+    Change.LEFT_OUT: attrgetter("left_out", "live.application_rules"),
+    Change.DEVICE: attrgetter("device"),
+    Change.DROP_IN: attrgetter("live.drop_in"),
+    Change.WAY: attrgetter("live.engine"),
+    Change.BLOCKS: attrgetter("live.block_frames"),
+}

@@ -5,8 +5,6 @@ needs the temperatures and the dose. A killed process does not record the time a
 For this time, the next process assumes the worst case that protection allows.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Sequence
@@ -18,7 +16,7 @@ from typing import Any
 from audioflinger_hook.drive.drive import DrivenRig
 from device.atomic_file import AtomicFile, make_private_folder
 from device.drive.exposure import DoseSums
-from device.drive.safety import SafetyState
+from device.drive.safety import LONGEST_REST_S, SafetyState
 from device.errors import CushionError
 
 VERSION = 1
@@ -31,7 +29,6 @@ UNRECORDED_S = 1.5
 BEGIN_S = 0.3  # assumed time from reading a playing rig's state to the first block of a new rig
 UNSYNCED_S = 60.0  # like UNRECORDED_S, after a machine crash, because files reach the disk late
 
-_LONGEST_S = 10 * 365 * 86_400.0
 Rigs = Sequence[DrivenRig | None]
 
 
@@ -63,7 +60,7 @@ class SafetyKeeper:
     def __init__(self, folder: Path | None = None, moment: Callable[[], Moment] = Moment) -> None:
         self._folder, self._moment = folder, moment
         self._saved_s = -math.inf
-        self._saved: list[SafetyState] = []
+        self._saved: list[DoseSums] = []
         self._ended: dict[tuple[int, int], SafetyState] = {}
         self._day = self._device = self.since = self.warning = ""
 
@@ -86,12 +83,13 @@ class SafetyKeeper:
             bounds, states = processor.design.bounds(), []
             for channel in range(processor.channels):
                 record = records.get(_key(device, index, channel))
-                if trouble:
+                if trouble and not known:
                     state = bounds.warmest
                 elif record is None:
                     state = SafetyState(dose=dose) if today else SafetyState()
                 else:
-                    state, trouble = _resumed(record, now, processor)
+                    state, problem = _resumed(record, now, processor)
+                    trouble = trouble or problem
                 states.append(state)
             processor.restore(states)
         if trouble:
@@ -113,7 +111,7 @@ class SafetyKeeper:
         if not known and (self._folder is None or self.warning):
             known = self._ended  # without a record, assume that coils have not cooled
         for index, rig in enumerate(rigs):
-            if rig is not None and known:
+            if rig is not None and known and rig not in playing:
                 bounds, states = rig.design.bounds(), list(rig.safety_states())
                 for channel in range(rig.channels):
                     if (state := known.get((index, channel))) is not None:
@@ -122,6 +120,8 @@ class SafetyKeeper:
 
     def update(self, rigs: Rigs, now_s: float) -> None:
         """Record changes, at most once per SAVE_S; reset the dose on a new day. Raises nothing."""
+        if self._folder is None or self.warning:  # no record will tell it to later rigs
+            self._ended = _states_of(rigs) or self._ended
         if self._folder is None or not self._day or not any(rigs) or now_s - self._saved_s < SAVE_S:
             return
         now = self._moment()
@@ -130,9 +130,10 @@ class SafetyKeeper:
             for processor in filter(None, rigs):
                 processor.begin_day()
             return
-        states = [one for each in filter(None, rigs) for one in each.safety_states()]
-        if states != self._saved:
-            self._saved = states
+        # A coil that only cools needs no new record: `_resumed` computes how it has cooled.
+        doses = [one.dose for each in filter(None, rigs) for one in each.safety_states()]
+        if doses != self._saved:
+            self._saved = doses
             self._write(rigs, now, sync=False)
         self._saved_s = now_s
 
@@ -215,7 +216,7 @@ def _resumed(record: dict[str, Any], now: Moment, processor: DrivenRig) -> tuple
     same_boot = bool(now.boot) and record["boot"] == now.boot
     passed_s = now.boot_s - record["boot_s"] if same_boot else now.wall_s - record["wall_s"]
     dose = DoseSums(**record["dose"]) if record["day"] == now.day else DoseSums()
-    if not 0.0 <= passed_s <= _LONGEST_S:
+    if not 0.0 <= passed_s <= LONGEST_REST_S:
         warm = bounds.warmest
         return SafetyState(warm.coil_c, warm.magnet_c, dose), "the time that has passed is unknown"
     state = SafetyState(record["coil_c"], record["magnet_c"], dose)

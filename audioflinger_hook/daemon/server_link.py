@@ -1,7 +1,5 @@
 """The connection to the sound server, and the virtual sinks that the daemon creates there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from audioflinger_hook.daemon.run_config import RunConfig
@@ -47,10 +45,7 @@ class ServerLink(Listener):
     @property
     def warning(self) -> str:
         """Why the fallback sink is not ready, in one line; "" on PipeWire, which needs none."""
-        fallback, connection = self._fallback, self.connection
-        if fallback is None or connection is None or fallback.active:
-            return ""
-        return "" if connection.latest.kind == "PipeWire" else fallback.reason
+        return self._fallback.reason if self._fallback else ""
 
     def open(self, now_s: float) -> bool:
         """Connect if an attempt is due; return whether a connection was made.
@@ -82,23 +77,30 @@ class DropInControl:
     """The virtual sink to which applications play in drop-in mode."""
 
     def __init__(self, config: RunConfig) -> None:
-        self._drop_in: DropIn | None = None
-        self._restart(config)
-
-    def _restart(self, config: RunConfig) -> None:
         self._config = config
-        self._backoff = Backoff(longest_s=10.0 * LONGEST_S)
+        self._drop_in: DropIn | None = None
         self._target: str | None = None
-        self._refusal = ""
+        self._refusal, self._wanted_delay_s = "", 0.0
+        self._backoff = Backoff(longest_s=10.0 * LONGEST_S)
 
     def follow(self, config: RunConfig) -> None:
         """Apply another config."""
         if config.live.drop_in != self._config.live.drop_in:
             self.close()
-            self._restart(config)
+            self._target, self._refusal = None, ""
+            self._backoff.succeeded()
         self._config = config
-        if self._drop_in is not None:
-            self._drop_in.delay_s = self._wanted_delay_s
+
+    def set_delay(self, delay_s: float) -> None:
+        """Delay the sound by `delay_s` in drop-in mode, at least by `forwarding.MIN_DELAY_S`."""
+        if delay_s != self._wanted_delay_s and self._drop_in is not None:
+            self._drop_in.delay_s = delay_s
+        self._wanted_delay_s = delay_s
+
+    @property
+    def target_name(self) -> str:
+        """Name of the sink to which the virtual sink's sound is forwarded, "" for none."""
+        return self._drop_in.target_name if self._drop_in else ""
 
     @property
     def delay_s(self) -> float:
@@ -124,8 +126,9 @@ class DropInControl:
         try:
             names = [sink.name for sink in connection.latest.sinks]
             target = self._target if self._target in names else None  # the previous target
-            delay_s = self._wanted_delay_s
-            self._drop_in = DropIn(connection, target, delay_s, haptic_sink=haptic_sink)
+            self._drop_in = DropIn(
+                connection, target, self._wanted_delay_s, haptic_sink=haptic_sink
+            )
         except CushionError as error:
             self._refusal = str(error)
             self._backoff.failed(now_s)
@@ -138,7 +141,3 @@ class DropInControl:
         drop_in, self._drop_in = self._drop_in, None
         if drop_in is not None:
             drop_in.close()
-
-    @property
-    def _wanted_delay_s(self) -> float:
-        return max(0.0, -self._config.live.offset_s)

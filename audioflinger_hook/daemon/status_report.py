@@ -1,7 +1,5 @@
 """Collects the status of a running daemon; `service/status.py` defines the fields."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,9 +8,9 @@ from typing import Any
 from audioflinger_hook import __version__
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.engine import Engine
+from audioflinger_hook.daemon.latency import parts_of_native, parts_of_python
 from audioflinger_hook.daemon.native.chain import Chain
 from audioflinger_hook.daemon.native.engine import NativeEngine
-from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.drive.drive import DrivenRig
 from audioflinger_hook.service import status as figures
@@ -35,6 +33,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> figures.Status:
         "engine_reason": "",
     }
     played: Sequence[tuple[float, float, float]] = ()
+    level = 0.0 if supervisor.config.muted else db_to_amplitude(supervisor.config.settings.gain_db)
     if chain is not None:
         values["engine_pid"] = chain.process_id
     if native is not None and chain is not None and native.audible:
@@ -55,14 +54,16 @@ def status_of(supervisor: Supervisor, now_s: float) -> figures.Status:
         muted=supervisor.config.muted,
         warnings=tuple(supervisor.warnings),
         device_rate=gathered(figures.DeviceRateFigures, rate) if rate else None,
-        principal=_as_played(played, states.state, supervisor.config),
+        principal=tuple(
+            figures.Partial(sound_hz, hz, level * size)
+            for sound_hz, hz, size in (played if states.state is DaemonState.RUNNING else ())
+        ),
         **values,
     )
 
 
 def _of_python(engine: Engine, supervisor: Supervisor) -> dict[str, Any]:
     line, framework, drive = engine.delay_line.status, engine.framework, engine.drive
-    tap_s, output_s = supervisor.latencies_s
     levels = [driven.meter.level() for driven in engine.driven]
     return {
         "levels": figures.Levels(
@@ -71,12 +72,8 @@ def _of_python(engine: Engine, supervisor: Supervisor) -> dict[str, Any]:
             tuple(level_of(*one) for one in engine.sound.meter.channel_readings()),
         ),
         "latency": figures.LatencyBudget.of(
-            tap_ms=1e3 * tap_s,
-            transform_ms=1e3 * framework.latency_s,
-            delay_line_ms=1e3 * (line.delay_s - engine.delay_line.offset_s),
-            output_ms=1e3 * output_s,
-            offset_ms=1e3 * supervisor.offset_s,
-            driving_ms=1e3 * drive.latency_frames / engine.samplerate,
+            **parts_of_python(engine, *supervisor.latencies_s),
+            offset_ms=1e3 * supervisor.alignment.offset_s,
             delay_ms=1e3 * max(drive.delays_frames, default=0) / engine.samplerate,
         ),
         "delay_line": gathered(figures.DelayLineFigures, line),
@@ -89,13 +86,8 @@ def _of_python(engine: Engine, supervisor: Supervisor) -> dict[str, Any]:
 
 
 def _of_native(native: NativeEngine, chain: Chain, supervisor: Supervisor) -> dict[str, Any]:
-    # Tap and device run in the same cycle of the graph, so no delay line is needed.
     settings, resting = supervisor.config.settings, supervisor.states.state is DaemonState.IDLE
-    plan, page = chain.plan, chain.page
-    latency_frames = max((rig.latency_frames for rig in chain.rigs if rig), default=0)
-    # If the sink drives the graph, its monitor provides sound one cycle late.
-    is_late = native.monitor_reason and page.samplerate
-    tap_ms = 1e3 * page.cycle_frames / page.samplerate if is_late else 0.0
+    page = chain.page
     # While the daemon is idle, the plugin may be suspended, and its levels may be outdated.
     actuators = range(min(len(settings.actuators), len(chain.rigs)))
     levels = [Level() if resting else page.level(slot) for slot in actuators]
@@ -103,10 +95,8 @@ def _of_native(native: NativeEngine, chain: Chain, supervisor: Supervisor) -> di
     return {
         "levels": figures.Levels() if resting else figures.Levels(*page.levels, channels),
         "latency": figures.LatencyBudget.of(
-            tap_ms=tap_ms,
-            transform_ms=1e3 * plan.transform.latency_frames / plan.samplerate,
-            offset_ms=1e3 * supervisor.offset_s,
-            driving_ms=1e3 * latency_frames / plan.samplerate,
+            **parts_of_native(native, chain),
+            offset_ms=1e3 * supervisor.alignment.offset_s,
             delay_ms=max((actuator.delay_ms for actuator in settings.actuators), default=0.0),
         ),
         "server": f"PipeWire {native.watch.graph.version}".rstrip(),
@@ -171,12 +161,3 @@ def worst_exposure(found: Sequence[figures.ExposureFigures]) -> figures.Exposure
     names = ("time_s", "running_m_s2", "vdv", "above_action", "above_limit")
     worst = {name: max(getattr(one, name) for one in found) for name in names}
     return replace(most, **worst, cap=capped.cap, cap_gain=capped.cap_gain)
-
-
-def _as_played(
-    partials: Sequence[tuple[float, float, float]], state: DaemonState, config: RunConfig
-) -> tuple[figures.Partial, ...]:
-    if state is not DaemonState.RUNNING:
-        return ()
-    level = 0.0 if config.muted else db_to_amplitude(config.settings.gain_db)
-    return tuple(figures.Partial(sound_hz, hz, level * size) for sound_hz, hz, size in partials)

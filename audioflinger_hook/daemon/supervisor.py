@@ -1,31 +1,34 @@
 """The main thread of the daemon: opens streams, watches them, and closes them while idle."""
 
-from __future__ import annotations
-
+import random
 from contextlib import closing
 from pathlib import Path
 
-from audioflinger_hook.daemon.applications import applications_in
+from audioflinger_hook.daemon.acting_rule import ActingRule, with_rule
+from audioflinger_hook.daemon.alignment import Alignment
+from audioflinger_hook.daemon.applications import applications_in, not_left_out
 from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.engines import Engines
 from audioflinger_hook.daemon.inputs.base import AudioNode, Input
 from audioflinger_hook.daemon.limit_advice import LimitAdvice
 from audioflinger_hook.daemon.native.abilities import check_engine
+from audioflinger_hook.daemon.offset_store import OffsetStore
 from audioflinger_hook.daemon.outputs.base import Output
-from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
+from audioflinger_hook.daemon.run_config import Change, RunConfig, changes_between
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
 from audioflinger_hook.daemon.server_link import DropInControl, ServerLink
 from audioflinger_hook.daemon.timing import IdlePolicy, StallDetector, Wake
-from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from audioflinger_hook.service.status import Application
-from device.errors import CushionError, LostError, NotFoundError
+from device.errors import CushionError, LostError, NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
-from device.server.snapshot import tap_latency_s
+from device.server.snapshot import Source, tap_latency_s
 from device.stream import AudioPriority
 
-TICK_S = 0.1  # longest time between ticks while streams are open
+# Longest time between ticks while streams are open: another one each time, as queries of a sink's
+# latency must not keep step with its buffer.
+TICKS_S = (0.075, 0.11)
 RESTING_TICK_S = 1.0  # longest time between ticks while idle
 
 
@@ -39,7 +42,9 @@ class Supervisor:
     clocks: `now_s` is time.monotonic() or a replacement. wake: other threads ring it.
     folder: private, for the native engine and the live page's shared memory; None disables both.
     safety: stores the coil temperatures and vibration doses for the next process.
-    config_error: why the latest config was not applied, or "".
+    offsets: stores the delays that users have measured; None forgets them at the end.
+    config, user_config: with and without the [[application]] rule that acts.
+    alignment: finds the offset. config_error: why the latest config was not applied, or "".
     UsageError, NotFoundError: a file to play or to write cannot be used.
     """
 
@@ -50,19 +55,24 @@ class Supervisor:
         wake: Wake,
         folder: Path | None = None,
         safety: SafetyKeeper | None = None,
+        offsets: OffsetStore | None = None,
     ) -> None:
         now_s = clocks.now_s()
         self.states = StateKeeper(now_s)
-        self.config, self.config_error = config, ""
+        self.config, self.config_error, self._rule_error = config, "", ""
+        self.user_config, self._acting = config, ActingRule()
         self._folder = folder
         self.priority = AudioPriority(config.live.realtime)
         self._endpoints = Endpoints(config, clocks, self.states, self.priority, wake.ring)
         self._drop_in = DropInControl(config)
         self._link = ServerLink(wake.ring)
-        self._idle_policy = IdlePolicy(now_s)
         self._found: tuple[AudioNode | None, AudioNode | None] = (None, None)
         self.engines = Engines(
             config, clocks, self._endpoints, self.states, folder, wake.ring, safety
+        )
+        self._idle = IdlePolicy(now_s)
+        self.alignment = Alignment(
+            config, self.engines, self._drop_in, offsets or OffsetStore(), wake.ring
         )
         self._stalls = StallDetector(self.states, clocks.slept_s)
         self._limits = LimitAdvice()
@@ -82,7 +92,7 @@ class Supervisor:
         """Longest time until the next tick in seconds, unless `wake` rings."""
         if self.states.state is DaemonState.IDLE:
             return RESTING_TICK_S
-        return self.engines.tick_s or TICK_S
+        return self.engines.tick_s or random.uniform(*TICKS_S)
 
     def played_s(self, now_s: float) -> float:
         """Return the length of the run in seconds.
@@ -114,12 +124,22 @@ class Supervisor:
         """The applications that have a stream. Any thread may read this."""
         source, device = self._found
         haptic = device.name if device and self.output.needs_server else None
-        return applications_in(self._link.latest, self.config.rules, source, haptic)
+        seen, acting = self._link.latest, self._acting.rule
+        return applications_in(seen, self.config, source, haptic, acting, is_mixed=self.is_mixed)
 
     @property
-    def offset_s(self) -> float:
-        """Delay that the user adds, minus the delay of the sound in drop-in mode, in seconds."""
-        return max(0.0, self.config.live.offset_s) - self._drop_in.delay_s
+    def is_mixed(self) -> bool:
+        """Whether the mixed sound is tapped, so that no stream can be left out. For any thread."""
+        native = self.engines.native.engine
+        if native is not None and native.audible:
+            return bool(native.monitor_reason)
+        return self.engines.playing[0] == "python" and self.config.rules is None
+
+    @property
+    def rule(self) -> str:
+        """The pattern of the [[application]] rule that acts, "" without one."""
+        acting = self._acting.rule
+        return acting.match if acting else ""
 
     @property
     def latencies_s(self) -> tuple[float, float]:
@@ -142,8 +162,10 @@ class Supervisor:
             warnings += recording.warnings
             if engine and engine.framework.bypassed():
                 warnings.append("an effect was bypassed, so a replay will differ from it")
-        others = [self._link.warning, self.priority.warning, self.config_error]
+        warnings += self.alignment.warnings
+        others = [self._link.warning, self.priority.warning, self.config_error, self._rule_error]
         others += [self.engines.safety.warning, *self.engines.warnings]
+        others.append(not_left_out(self.applications))
         others.append(self._limits.advice(self.config.settings))
         return [*warnings, *filter(None, others)]
 
@@ -167,8 +189,7 @@ class Supervisor:
         """Connect to the server, locate tap and device, and open, check or close their streams."""
         self._notice_pauses(now_s)
         self.engines.record(now_s)
-        frames, limited = self.engines.counts
-        self._limits.update(limited, frames, now_s)
+        self._limits.update(*self.engines.counts, now_s)
         connection = None
         try:
             if self._endpoints.needs_server:
@@ -179,12 +200,17 @@ class Supervisor:
             device = self._locate_device(snapshot, now_s)
             if device is None:
                 return
+            haptic = device.name if self.output.needs_server else None
             self._found = (None, device)
             source = self._locate_tap(snapshot, device)
             self._found = (source, device)
+            tapped = source.monitor_of if isinstance(source, Source) else None
+            if self._acting.update(snapshot, self.user_config, haptic, tapped):
+                self._use_rule(now_s)
             if connection:
-                haptic = device.name if self.output.needs_server else None
                 self._drop_in.maintain(connection, haptic, now_s)
+            runs = self.states.state is DaemonState.RUNNING
+            self.alignment.maintain(connection, source, device, self.latencies_s, now_s, runs=runs)
         except LostError as error:
             self._lose_server(now_s, str(error))
             return
@@ -192,7 +218,7 @@ class Supervisor:
             self.input.close()
             self.priority.restore()
             self.engines.native.lose_links(Cause.TAP_LOST, now_s, str(error))
-            self._idle_policy.wake(now_s)
+            self._idle.wake(now_s)
             self.states.enter(DaemonState.WAITING_FOR_SOUND_SOURCE, now_s, str(error))
             return
         if self.engines.maintain(connection, source, device, now_s):
@@ -215,44 +241,66 @@ class Supervisor:
         if self.input.name and self.output.name:
             self.states.enter(DaemonState.RUNNING, now_s)
 
-    def follow(self, config: RunConfig, now_s: float) -> ConfigDiff:
-        """Apply another config; return the difference. After a UsageError, nothing has changed."""
-        changes, engine = ConfigDiff.between(self.config, config), self.engines.python
+    def follow(self, config: RunConfig, now_s: float) -> set[Change]:
+        """Apply another config; return what differs. After a UsageError, nothing has changed."""
+        self._apply(self._with_rule(config), now_s)
+        changes = changes_between(self.user_config, config)
+        self.user_config = config
+        return changes
+
+    def _use_rule(self, now_s: float) -> None:
+        try:
+            self._apply(self._with_rule(self.user_config), now_s)
+        except UsageError as error:  # the sound goes on as before
+            self._note_rule(error)
+
+    def _with_rule(self, config: RunConfig) -> RunConfig:
+        """Return the config with the rule that acts, without it if it contradicts the config."""
+        self._rule_error = ""
+        try:
+            return with_rule(config, self._acting.rule)
+        except UsageError as error:
+            self._note_rule(error)
+            return config
+
+    def _note_rule(self, error: UsageError) -> None:
+        self._rule_error = f"the rule {self.rule!r} of [[application]] cannot act: {error}"
+
+    def _apply(self, config: RunConfig, now_s: float) -> None:
+        """Apply another config with the rule that acts; see `follow`."""
+        changes = changes_between(self.config, config)
         self._endpoints.check_change(self.config, config)
         config.settings.transform_parameters  # noqa: B018 - reads the rig's file, once
-        if engine and changes.engine:  # raises if the new engine is impossible
-            framework = Framework(engine.samplerate, engine.channels, config.settings)
-            drive_of(config.settings, engine.samplerate, framework.haptic_channels)
-        elif engine:
-            engine.follow(config.settings, max(0.0, config.live.offset_s))
-        self.config = config
         self.engines.follow(config, changes)
-        self._endpoints.configure(config)
-        if changes.priority:
+        self.config = config
+        self.input.configure(config)
+        self.output.configure(config)
+        if Change.PRIORITY in changes:
             self.priority.set_wanted(config.live.realtime)
-        restarts = changes.engine
-        if changes.tap:
+        restarts = Change.ENGINE in changes
+        if Change.TAP in changes:
             restarts |= self._endpoints.retarget_input(config)
-        if changes.device:
+        if Change.DEVICE in changes:
             self._endpoints.retarget_output(config)
-            if engine:
+            if engine := self.engines.python:
                 self.output.set_format(engine.samplerate, engine.drive.outputs)
         self._drop_in.follow(config)
-        if restarts or changes.blocks:
+        self.alignment.follow(config)
+        if restarts or Change.BLOCKS in changes:
             self._endpoints.close()
         if restarts:
             if config.recording:
                 config.recording.end("another tap needs a new mix, which a replay cannot repeat")
             self.engines.drop()
-        if changes.any:
-            self._idle_policy.wake(now_s)
-        return changes
+        if changes:
+            self._idle.wake(now_s)
 
     def close(self, now_s: float, *, keep: bool = True) -> None:
         """Stop the daemon. keep: whether to keep an output file. WriteError: writing it failed."""
         self.states.enter(DaemonState.STOPPING, now_s)
         self.engines.close()
         self._endpoints.close()
+        self.alignment.close()
         self._drop_in.close()
         self._link.close()
         self._endpoints.end(keep=keep)
@@ -262,18 +310,39 @@ class Supervisor:
             # After a suspend, devices may be missing at first. `tick` reopens the streams later.
             self._endpoints.close()
             self.engines.native.close()
-            self._idle_policy.wake(now_s)
+            self._idle.wake(now_s)
         if self.engines.python:
             self._stalls.count_resyncs(self.engines.python.delay_line.status.resyncs)
             if self.input.needs_server:  # while a file plays, effects may be slow
                 self.engines.python.framework.look_for_blocked(now_s)
+
+    def _rests(
+        self, connection: PulseConnection | None, snapshot: ServerSnapshot | None, now_s: float
+    ) -> bool:
+        """Close the Python engine's streams if nothing plays; return whether the daemon is idle."""
+        tap, engine = self.input, self.engines.python
+        if not (tap.may_rest and self.output.may_rest):
+            self._idle.wake(now_s)
+            return False
+        heard = self._idle.resting and tap.listen(connection, now_s)
+        players = tap.players(snapshot)
+        # Without players, buffers may stop arriving, and `engine.faded` might never become true.
+        over = engine is not None and (engine.faded or not players)
+        last_sound_s = engine.last_sound_s if engine and over else now_s
+        if not self._idle.update(now_s, players, last_sound_s, heard=heard):
+            return False
+        if self.states.enter(DaemonState.IDLE, now_s, tap.why_silent):
+            self._endpoints.close()
+            if engine:
+                engine.rest()
+        return True
 
     def _connected(self, now_s: float) -> PulseConnection | None:
         if lost := self._link.lost:
             self._lose_server(now_s, lost)
         try:
             if self._link.open(now_s):
-                self._idle_policy.wake(now_s)
+                self._idle.wake(now_s)
         except CushionError as error:
             self.states.enter(DaemonState.WAITING_FOR_SERVER, now_s, str(error))
             return None
@@ -285,6 +354,7 @@ class Supervisor:
             self.input.close()
             if self.output.needs_server:  # other outputs continue with silence
                 self.output.close()
+            self.alignment.close()
             self._drop_in.close()
             self.engines.native.close()
             self._link.close()
@@ -301,33 +371,12 @@ class Supervisor:
         except NotFoundError as error:
             if self.output.is_open:
                 self.states.recover(Cause.DEVICE_LOST, now_s, str(error))
-            self.output.close()
+            self._endpoints.close()  # vibration that is not felt heats no coil, and is no dose
+            if self.engines.python:
+                self.engines.python.rest()
             self.priority.restore()
             self.engines.native.lose_links(Cause.DEVICE_LOST, now_s, str(error))
-            if not self.input.needs_server:  # a file pauses until the device is available
-                self.input.close()
             self._found = (None, None)
-            self._idle_policy.wake(now_s)
+            self._idle.wake(now_s)
             self.states.enter(DaemonState.WAITING_FOR_DEVICE, now_s, str(error))
             return None
-
-    def _rests(
-        self, connection: PulseConnection | None, snapshot: ServerSnapshot | None, now_s: float
-    ) -> bool:
-        """Close the streams if nothing plays; return whether the daemon is idle."""
-        if not (self.input.may_rest and self.output.may_rest):
-            self._idle_policy.wake(now_s)
-            return False
-        engine = self.engines.python
-        heard = self._idle_policy.resting and self.input.listen(connection, now_s)
-        players = self.input.players(snapshot)
-        # Without players, buffers may stop arriving, and `engine.faded` might never become true.
-        over = engine is not None and (engine.faded or not players)
-        last_sound_s = engine.last_sound_s if engine and over else now_s
-        if not self._idle_policy.update(now_s, players, last_sound_s, heard=heard):
-            return False
-        if self.states.enter(DaemonState.IDLE, now_s, self.input.why_silent):
-            self._endpoints.close()
-            if engine:
-                engine.rest()
-        return True

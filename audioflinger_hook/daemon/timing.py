@@ -1,10 +1,9 @@
 """Timing of the main thread: retries, stalls, suspends, idle state and wake-up."""
 
-from __future__ import annotations
-
 import os
 import select
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 
 from audioflinger_hook.service.state import Cause, StateKeeper
 
@@ -110,7 +109,7 @@ class IdlePolicy:
         self._woke_s = now_s
 
 
-class Wake:
+class Wake(AbstractContextManager["Wake"]):
     """A wake-up event: `ring` ends the current or next `wait`.
 
     Any thread or signal handler may call `ring`; several calls count as one. One thread calls
@@ -139,9 +138,6 @@ class Wake:
         bell, self._bell = self._bell, -1
         if bell >= 0:
             os.close(bell)
-
-    def __enter__(self) -> Wake:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

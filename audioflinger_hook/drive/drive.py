@@ -1,8 +1,7 @@
 """Processing for the actuators of one device: vibration in, actuator signals out."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,10 +11,13 @@ from audioflinger_hook.core.structures import ACTUATORS, LIMITED_BY, Controls, R
 from device.drive.design import DriveDesign, drive_design
 from device.drive.exposure import DoseSums, Exposure
 from device.drive.protection.limits import ProtectionStatus
-from device.drive.safety import SafetyState
+from device.drive.safety import LONGEST_REST_S, SafetyState
 from device.drive.settings import DELAY_MAX_MS, ActuatorSettings, sources_of
 from device.errors import InternalError, UsageError
 from device.units import Block, Float32Array, amplitude_to_db, check_channels
+
+UNPLAYED_S = 3.0  # longest sound that delay line and device still play after the core has stopped
+REST_STEP_S = 1.0  # shortest rest that is counted
 
 
 class DrivenRig:
@@ -25,11 +27,12 @@ class DrivenRig:
         self, design: DriveDesign, controls: Controls, readings: Readings, slots: range
     ) -> None:
         self.design, self.rig, self.exposure_cap = design, design.rig, design.exposure_cap
-        self.knows_seat, self.makeup_db = design.knows_seat, design.makeup_db
+        self.knows_seat, self.makeup_db = design.rig.seat is not None, design.makeup_db
         self.latency_frames = design.latency_frames
         self.channels = len(slots)
         self._core_controls, self._core_readings = controls, readings
-        self._day_began_at = -1
+        self._day_began_at = self._kept_frames = -1
+        self._now_s = self._slept_s = self._rest_s = 0.0
         self._controls = controls.actuators[slots.start : slots.stop]
         self._readings = readings.actuators[slots.start : slots.stop]
 
@@ -81,8 +84,8 @@ class DrivenRig:
         """Return each channel's state, which the next run of the program restores."""
         return tuple(self._safety(channel) for channel in range(self.channels))
 
-    def restore(self, states: Sequence[SafetyState]) -> None:
-        """Set the initial state of each channel. The core reads it before the first block."""
+    def restore(self, states: Sequence[SafetyState], restores: int = 1) -> None:
+        """Set the initial state of each channel, for the first block. restores: see core.h."""
         ambient_c = self.rig.thermal.ambient_c if self.rig.thermal else 0.0
         for controls, state in zip(self._controls, states, strict=False):
             safety, dose = controls.safety, state.dose
@@ -90,14 +93,39 @@ class DrivenRig:
             safety.magnet_c = ambient_c if state.magnet_c is None else state.magnet_c
             safety.time_s, safety.squares = dose.time_s, dose.squares
             safety.fourths, safety.above = dose.fourths, dose.high
-            controls.restores = 1
+            controls.restores = restores  # written last, since the core may run
+        self._kept_frames = -1
 
-    def keep(self) -> None:
-        """Store the present state as the initial state, in case the core is opened again."""
-        if self._core_readings.frames != self._day_began_at:
+    def keep(self, now_s: float, slept_s: float = 0.0) -> None:
+        """Store the present state as the initial state, in case the core is opened again.
+
+        While the core does not run, or the machine is suspended, the coils cool. The core's next
+        block begins with the cooled temperatures, unless the core has run since this call.
+        now_s, slept_s: time without suspends, and total time in suspend. One thread calls it.
+        """
+        frames, awake_s = self._core_readings.frames, now_s - self._now_s
+        is_new, has_run = self._kept_frames < 0, frames != self._kept_frames
+        passed_s = slept_s - self._slept_s + (0.0 if has_run else awake_s)
+        if is_new or passed_s > LONGEST_REST_S:
+            passed_s = 0.0
+        self._rest_s = passed_s + (-UNPLAYED_S if has_run else self._rest_s)
+        if frames != self._day_began_at:
             self._day_began_at = -1
-        if self.has_run:
+        if self._rest_s >= REST_STEP_S:
+            self.restore(self._cooled(awake_s if has_run else 0.0), frames + 1)
+            self._rest_s = 0.0
+        elif has_run:
             self.restore(self.safety_states())
+        self._kept_frames, self._now_s, self._slept_s = frames, now_s, slept_s
+
+    def _cooled(self, played_s: float) -> list[SafetyState]:
+        """Return the states after a rest since the last `keep`, and then any vibration."""
+        bounds, cooled = self.design.bounds(), []
+        for controls, now in zip(self._controls, self.safety_states(), strict=True):
+            kept = replace(now, coil_c=controls.safety.coil_c, magnet_c=controls.safety.magnet_c)
+            state = bounds.after_unrecorded(bounds.after_rest(kept, self._rest_s), played_s)
+            cooled.append(replace(state, dose=now.dose))
+        return cooled
 
     def begin_day(self) -> None:
         """Let the core reset the day's dose of all actuators before the next block."""
@@ -118,7 +146,9 @@ class DrivenRig:
             dose = DoseSums()  # the core has not run since the day began
         if thermal is None:
             return SafetyState(dose=dose)
-        return SafetyState(found.coil_c, found.magnet_c, dose)
+        has_rested = controls.restores == self._core_readings.frames + 1
+        warm = controls.safety if has_rested else found
+        return SafetyState(warm.coil_c, warm.magnet_c, dose)
 
 
 def driven_rigs(

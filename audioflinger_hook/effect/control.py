@@ -1,7 +1,5 @@
 """An effect's lifecycle and commands, as in AudioFlinger's EffectModule."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from enum import Enum, auto
 from pathlib import PurePath

@@ -1,7 +1,5 @@
 """Descriptor, parameters and vendor commands of the haptic effect."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, fields
 from typing import Any, cast
 from uuid import UUID

@@ -3,8 +3,6 @@
 Commands, flags and status values are numbered as in Android's audio_effect.h.
 """
 
-from __future__ import annotations
-
 import errno
 import math
 from collections.abc import Callable, Mapping

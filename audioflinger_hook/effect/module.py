@@ -1,7 +1,5 @@
 """One effect in a chain: lets its engine process buffers, and bypasses a failing engine."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

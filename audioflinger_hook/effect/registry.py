@@ -1,7 +1,5 @@
 """Libraries of effects: the bundled library and the libraries of other installed packages."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterable
 from functools import lru_cache
@@ -39,7 +37,7 @@ class EffectRegistry:
             self.add(library)
 
     @classmethod
-    def installed(cls) -> EffectRegistry:
+    def installed(cls) -> "EffectRegistry":
         """Return a registry of the bundled library and the libraries of installed packages."""
         registry = cls([CUSHION])
         found, problems = _entry_points(tuple((place, _changed_ns(place)) for place in sys.path))

@@ -1,7 +1,5 @@
 """Parser of audio_effects.xml 2.0, which lists effects and the streams that they process."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field

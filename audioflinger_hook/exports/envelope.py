@@ -1,7 +1,5 @@
 """Approximates curves with straight lines, and a vibration with an envelope and transients."""
 
-from __future__ import annotations
-
 import heapq
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -33,13 +31,12 @@ def simplify(
     last = len(values) - 1
     if last < 1:
         return np.arange(len(values))
-    kept = {0, last}
     edges = [*range(0, last, longest), last]
     if len(edges) > 2 and edges[-1] - edges[-2] < spacing:
         edges.pop(-2)
         if last - edges[-2] > longest:  # two points may be at most `longest` apart
             edges.insert(-1, last - spacing)
-    kept.update(edges)
+    kept = set(edges)
     waiting: list[tuple[float, int, int, int]] = []
 
     def consider(first: int, end: int) -> None:

@@ -1,7 +1,5 @@
 """The function `export`, which writes the vibration of a sound in any format."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import replace

@@ -4,8 +4,6 @@ A partial is a sequence of glides. During a glide, frequency and amplitude chang
 numbers describes each glide, and a slot number says to which partial it belongs.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,11 +29,9 @@ FRAME, FRAMES, CHANNEL, SLOT, START_HZ, END_HZ, START_LEVEL, END_LEVEL, START_PH
 
 @dataclass(frozen=True)
 class Onset:
-    """A start or strong rise of vibration. before, after: amplitudes; full scale is 1."""
+    """A start or strong rise of vibration."""
 
     time_s: float
-    before: float
-    after: float
     hz: float
 
 
@@ -145,11 +141,22 @@ class CurveReader:
 
     def add(self, rows: FloatArray, frame: int) -> None:
         """Add glides. The calls so far must include all glides that start before `frame`."""
-        of_onset = rows[:, SLOT] >= first_onset_slot(self._design)
+        design = self._design
+        of_onset = rows[:, SLOT] >= first_onset_slot(design)
         born = rows[of_onset & (rows[:, START_LEVEL] == 0.0) & (rows[:, END_LEVEL] > 0.0)]
         self._births += [(row[FRAME], row[START_HZ]) for row in born.tolist()]
-        self._add_glides(rows)
-        sample_frames = self._design.grid.decimation * self._steps
+        if len(rows):
+            rises = rising(design, rows)
+            first = np.rint(rows[:, FRAME] / design.grid.decimation).astype(np.int64) - self._next
+            self._reserve(int(first.max()) + design.grid.steps)
+            for frames in np.unique(rows[:, FRAMES]):
+                chosen = rows[:, FRAMES] == frames
+                signal, hz = analytic(design, rows[chosen], rises[chosen])
+                power = signal.real**2 + signal.imag**2
+                added = np.stack((signal, power, power * hz), axis=1)
+                for one, place in zip(added, first[chosen].tolist(), strict=True):
+                    self._sums[:, place : place + one.shape[1]] += one
+        sample_frames = design.grid.decimation * self._steps
         samples = int(frame // sample_frames) - self._samples
         if samples <= 0:
             return
@@ -158,28 +165,13 @@ class CurveReader:
         self._reserve(steps)
         taken, self._sums = self._sums[:, :steps], self._sums[:, steps:]
         self._next += steps
-        signal, self._state = low_pass(self._design, taken[0], self._state)
+        signal, self._state = low_pass(design, taken[0], self._state)
         squares = (signal.real**2 + signal.imag**2).reshape(-1, self._steps).mean(axis=1)
         power, moment = taken[1:].real.reshape(2, -1, self._steps).sum(axis=2)
         silent = power <= 0.0
         hz = np.where(silent, np.nan, moment / np.where(silent, 1.0, power))
         self._powers.append((self._gain**2 * squares).astype(np.float32))
         self._hz.append(hz.astype(np.float32))
-
-    def _add_glides(self, rows: FloatArray) -> None:
-        if not len(rows):
-            return
-        design = self._design
-        rises = rising(design, rows)
-        first = np.rint(rows[:, FRAME] / design.grid.decimation).astype(np.int64) - self._next
-        self._reserve(int(first.max()) + design.grid.steps)
-        for frames in np.unique(rows[:, FRAMES]):
-            chosen = rows[:, FRAMES] == frames
-            signal, hz = analytic(design, rows[chosen], rises[chosen])
-            power = signal.real**2 + signal.imag**2
-            added = np.stack((signal, power, power * hz), axis=1)
-            for one, place in zip(added, first[chosen].tolist(), strict=True):
-                self._sums[:, place : place + one.shape[1]] += one
 
     def _reserve(self, steps: int) -> None:
         lacking = max(0, steps - self._sums.shape[1])
@@ -220,7 +212,7 @@ class CurveReader:
             last_s = found[-1].time_s if found else -np.inf
             strong = rise >= max(RISE_FROM * after, AUDIBLE * loudest)
             if strong and time_s > 0.0 and time_s - last_s >= ONSETS_APART_S:
-                found.append(Onset(time_s, before, after, hz))
+                found.append(Onset(time_s, hz))
         return tuple(found)
 
 

@@ -54,6 +54,16 @@ class HjifWriter(TrackWriter):
         self, bands: list[list[list[dict[str, Any]]]], most: int, duration_s: float
     ) -> dict[str, Any]:
         low_hz, high_hz = self._band_hz or (VIBRATION_LOW_HZ, VIBRATION_HIGH_HZ)
+        rig = rig_by_name(self._job.settings.rig)
+        device = {  # that the file is for
+            "id": 0,
+            "name": "device" if self._band_hz else rig.name,
+            "body_part_mask": BODY_PART_UNSPECIFIED,
+            "minimum_frequency": low_hz,
+            "maximum_frequency": high_hz,
+            "resonance_frequency": min(max(rig.actuator.resonance_hz, low_hz), high_hz),
+            "type": "VCA",
+        }
         limits = {
             "lower_frequency_limit": math.floor(low_hz),
             "upper_frequency_limit": math.ceil(high_hz),
@@ -77,7 +87,7 @@ class HjifWriter(TrackWriter):
             "avatar_id": 0,
             "description": "vibration of a seat",
             "perception_modality": "Vibrotactile",
-            "reference_devices": [self._device(low_hz, high_hz)],
+            "reference_devices": [device],
             "channels": channels,
             "effect_library": [],
         }
@@ -94,20 +104,6 @@ class HjifWriter(TrackWriter):
             "avatars": [{"id": 0, "lod": 0, "type": "Vibration"}],
             "perceptions": [perception],
             "syncs": [{"timestamp": 0}],
-        }
-
-    def _device(self, low_hz: float, high_hz: float) -> dict[str, Any]:
-        """Return the device that the file is for: the rig, or a device with `device_band_hz`."""
-        rig = rig_by_name(self._job.settings.rig)
-        resonance_hz = min(max(rig.actuator.resonance_hz, low_hz), high_hz)
-        return {
-            "id": 0,
-            "name": "device" if self._band_hz else rig.name,
-            "body_part_mask": BODY_PART_UNSPECIFIED,
-            "minimum_frequency": low_hz,
-            "maximum_frequency": high_hz,
-            "resonance_frequency": resonance_hz,
-            "type": "VCA",
         }
 
 

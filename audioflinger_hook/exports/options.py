@@ -1,7 +1,5 @@
 """The export formats, the options of an export with their allowed values, and its report."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 

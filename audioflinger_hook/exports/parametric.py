@@ -1,7 +1,5 @@
 """Writing of parametric formats, which contain envelopes or partials instead of samples."""
 
-from __future__ import annotations
-
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
@@ -65,7 +63,7 @@ class DescribedOutput:
         channels: int,
         settings: Settings,
         options: ExportOptions,
-        open_writer: Callable[[Job], Writer],
+        open_writer: "Callable[[Job], Writer]",
     ) -> None:
         self.samplerate, self.channels = samplerate, channels
         self.composed = Composed()

@@ -1,7 +1,5 @@
 """Waveform files written by libsndfile, rate conversion, measurement of energy above 250 Hz."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -92,7 +90,7 @@ class SoundFileOutput:
         level: float | None = None,
     ) -> None:
         self.samplerate, self.channels = samplerate, channels
-        self.frames = self.limited_samples = 0
+        self.limited_samples = 0
         self._held = np.zeros((0, channels), np.float32)
         self._target = target or LibsndfileTarget(path)
         self._file: soundfile.SoundFile | None = None
@@ -147,7 +145,6 @@ class SoundFileOutput:
                 self._file.write(block)
             except (soundfile.LibsndfileError, RuntimeError) as error:
                 self._target.failure = WriteError(f"cannot encode the sound file ({error})")
-            self.frames += len(block)
             self._raise_failure()
         self._held = self._held[frames:]
 

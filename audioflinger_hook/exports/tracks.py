@@ -1,7 +1,5 @@
 """Partial tracks: time, frequency, amplitude and phase at points of a partial (sine component)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -69,7 +67,7 @@ class PartialTrack:
         )
         return turns
 
-    def on_device(self, band_hz: Band | None) -> PartialTrack:
+    def on_device(self, band_hz: Band | None) -> "PartialTrack":
         """Return the track with its frequencies mapped to a device's band; see `to_device_hz`."""
         if band_hz is None:
             return self

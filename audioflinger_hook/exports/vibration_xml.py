@@ -6,8 +6,6 @@ effect is written. This is a sequence of amplitudes, 0 to 255, that last 10 ms o
 device then vibrates at the frequency of its motor.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any

@@ -72,35 +72,27 @@ def spectrogram_db(
     starts = ((np.arange(columns) + 0.5) * (signal.size / columns)).astype(np.int64)
     windows = np.lib.stride_tricks.sliding_window_view(padded, window_frames)
 
-    rows = _RowsOfBins(rows_hz, samplerate / transform_frames, transform_frames // 2 + 1)
+    bins = transform_frames // 2 + 1
+    position = np.clip(rows_hz / (samplerate / transform_frames), 0.0, bins - 1.0)
+    below = np.minimum(position.astype(np.int64), bins - 2)
+    fraction = (position - below)[:, None]
+    middle = 0.5 * (position[1:] + position[:-1])
+    begins = np.ceil(np.concatenate([position[:1], middle])).astype(np.int64)
+    ends = np.ceil(np.concatenate([middle, position[-1:]])).astype(np.int64)
+    coarse = np.flatnonzero(ends > begins)  # rows with one bin or more of their own
+    pairs = np.stack([begins, np.minimum(ends, bins - 1)], axis=1)[coarse].ravel()
+
     power = np.empty((rows_hz.size, starts.size))
     for first in range(0, starts.size, _WINDOWS_PER_BATCH):
         batch = starts[first : first + _WINDOWS_PER_BATCH]
         spectrum = rfft(windows[batch] * window, transform_frames, axis=1)
-        power[:, first : first + batch.size] = rows.pick(np.abs(spectrum.T) * scale) ** 2
+        amplitude = np.abs(spectrum.T) * scale
+        lower = amplitude[below]
+        picked = lower + (amplitude[below + 1] - lower) * fraction
+        if coarse.size:
+            # reduceat also reduces the bins between two pairs; these results are skipped.
+            largest = np.maximum.reduceat(amplitude, pairs, axis=0)[::2]
+            picked[coarse] = np.maximum(picked[coarse], largest)
+        power[:, first : first + batch.size] = picked**2
     power[rows_hz > samplerate / 2.0] = 0.0
     return np.asarray(10.0 * np.log10(np.maximum(power, AMPLITUDE_FLOOR**2)), dtype=np.float64)
-
-
-class _RowsOfBins:
-    """Assignment of FFT bins to the rows of a picture."""
-
-    def __init__(self, rows_hz: NDArray[np.float64], bin_hz: float, bins: int) -> None:
-        position = np.clip(rows_hz / bin_hz, 0.0, bins - 1.0)
-        self._below = np.minimum(position.astype(np.int64), bins - 2)
-        self._fraction = (position - self._below)[:, None]
-        middle = 0.5 * (position[1:] + position[:-1])
-        first = np.ceil(np.concatenate([position[:1], middle])).astype(np.int64)
-        last = np.ceil(np.concatenate([middle, position[-1:]])).astype(np.int64)
-        self._coarse = np.flatnonzero(last > first)
-        # In `pick`, reduceat also reduces the bins between two pairs; these results are skipped.
-        self._pairs = np.stack([first, np.minimum(last, bins - 1)], axis=1)[self._coarse].ravel()
-
-    def pick(self, amplitude: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Return the amplitudes of rows, (rows, windows), from those of bins, (bins, windows)."""
-        below, above = amplitude[self._below], amplitude[self._below + 1]
-        picked = below + (above - below) * self._fraction
-        if self._coarse.size:
-            largest = np.maximum.reduceat(amplitude, self._pairs, axis=0)[::2]
-            picked[self._coarse] = np.maximum(picked[self._coarse], largest)
-        return np.asarray(picked)

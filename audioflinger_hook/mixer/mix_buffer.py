@@ -1,7 +1,5 @@
 """The buffer that mixer, effects and sinks share, and the interfaces of effects and sinks."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from typing import Protocol
 
@@ -51,7 +49,7 @@ class MixBuffer:
         self.hold(frames)
 
     @classmethod
-    def like(cls, other: MixBuffer, memory: Float32Array) -> MixBuffer:
+    def like(cls, other: "MixBuffer", memory: Float32Array) -> "MixBuffer":
         """Return a buffer of the same layout in `memory`, which must have enough samples."""
         buffer = cls.__new__(cls)
         buffer._memory = memory

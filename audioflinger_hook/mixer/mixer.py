@@ -1,7 +1,5 @@
 """The mixer: each call of `cycle` mixes tracks, applies effect chains and writes to sinks."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections import deque

@@ -1,7 +1,5 @@
 """Sample formats of tracks and sinks: conversion of bytes to float frames and back."""
 
-from __future__ import annotations
-
 from enum import Enum
 from typing import Any, Self
 

@@ -5,8 +5,6 @@ using the I0-sinh window function, ISCAS 1974; J. O. Smith and P. Gossett, A fle
 conversion method, 1984.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -36,7 +34,7 @@ class Ratio:
     taps: int  # filter length in input frames, even
 
     @classmethod
-    def of(cls, rate_in: int, rate_out: int) -> Ratio:
+    def of(cls, rate_in: int, rate_out: int) -> "Ratio":
         """Return the ratio of two rates in Hz."""
         common = int(np.gcd(rate_in, rate_out))
         up, down = rate_out // common, rate_in // common

@@ -1,7 +1,5 @@
 """The client's side of a track: a ring buffer for frames, and requests to the mixer."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from enum import Enum

@@ -1,7 +1,5 @@
 """The mixer's side of a track: executes requests, converts frames and adds frames to the mix."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from enum import Enum

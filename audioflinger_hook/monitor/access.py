@@ -5,8 +5,6 @@ foreign Origin header, and get no data of the daemon. Requests with an unknown H
 DNS rebinding, are refused.
 """
 
-from __future__ import annotations
-
 import hmac
 import os
 import re
@@ -34,7 +32,7 @@ class Listen:
     port: int
 
     @classmethod
-    def parse(cls, text: str) -> Listen:
+    def parse(cls, text: str) -> "Listen":
         """Parse HOST:PORT; port 0 selects a free port. UsageError: the text is not valid."""
         host, colon, port = text.rpartition(":")
         good = re.fullmatch(r"[\w.-]+|\[[0-9A-Fa-f:.]+\]", host) and re.fullmatch(r"\d{1,5}", port)

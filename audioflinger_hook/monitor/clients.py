@@ -4,8 +4,6 @@ A frame is a message with levels and frequencies. A browser acknowledges each fr
 UNDER_WAY_MAX frames may be unacknowledged, which limits the memory and the delay.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections import deque
@@ -21,6 +19,7 @@ class Client:
     """The queue of one browser. Only the event loop's thread may use it."""
 
     def __init__(self) -> None:
+        self.tries = False  # whether it plays an offset on trial
         self.overwritten = 0  # number of queued frames that a newer frame replaced
         self._newest: dict[str, str] = {}
         self._frame: str | None = None

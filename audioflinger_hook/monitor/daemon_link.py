@@ -1,7 +1,5 @@
 """The page's connection to the daemon, with reconnection after a loss."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os
@@ -18,7 +16,6 @@ from device.errors import CushionError, InternalError, NotFoundError, UsageError
 RETRY_S = 0.5
 SILENT_S = 5.0  # the connection counts as lost after this time without a line
 LINE_BYTES_MAX = 1 << 18  # longest accepted line
-
 LINE_SHARE = 0.2  # pause after each line as a share of 1 / rate_hz, to limit the CPU load
 
 

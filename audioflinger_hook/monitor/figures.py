@@ -1,14 +1,12 @@
 """The daemon's status as rows of the page and as metrics for Prometheus."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
+from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import (
     CounterMetricFamily,
     GaugeMetricFamily,
@@ -63,9 +61,6 @@ def _text(row: Row) -> str:
 def _tone(row: Row) -> str:
     tones = {piece.tone for piece in row.pieces}
     return next((tone for tone in TONES if tone in tones), "")
-
-
-CONTENT_TYPE = CONTENT_TYPE_LATEST
 
 
 def metrics_text(source: Clients) -> bytes:

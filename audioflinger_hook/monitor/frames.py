@@ -4,8 +4,6 @@ The levels and frequencies come from a memory-mapped file of the engine, which s
 daemon. If the file lacks space for all channels or actuators, the daemon itself sends these values.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 import mmap

@@ -1,7 +1,5 @@
 """The page's server for HTTP and websockets: static files, metrics and the live connection."""
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import json
@@ -14,17 +12,21 @@ from http import HTTPStatus
 from importlib.resources import files
 from typing import Any
 
+from prometheus_client import CONTENT_TYPE_LATEST
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
+from audioflinger_hook.config.file import names_a_device
 from audioflinger_hook.monitor.access import Access, Listen
 from audioflinger_hook.monitor.clients import CLIENTS_MAX, Client, Clients
 from audioflinger_hook.monitor.daemon_link import DaemonLink
-from audioflinger_hook.monitor.figures import CONTENT_TYPE, metrics_text
+from audioflinger_hook.monitor.figures import metrics_text
 from audioflinger_hook.monitor.frames import Frames
-from device.errors import InternalError, UsageError
+from audioflinger_hook.service import autostart, install
+from audioflinger_hook.service.one_line import one_line
+from device.errors import CushionError, InternalError, UsageError
 
 MESSAGE_BYTES_MAX = 4096
 CONNECTIONS_MAX = 48  # further connections are closed immediately
@@ -33,7 +35,10 @@ PING_S = 20.0
 WRITE_BYTES = 16_384  # limit of a connection's write buffers, in this process and in the system
 CONTROL_PAUSE_S = 0.02  # pause after each request that is forwarded to the daemon
 
-SCRIPTS = ("page", "connection", "drawing", "meters", "mapping", "waterfall", "controls", "figures")
+SCRIPTS = (
+    *("page", "connection", "elements", "drawing", "meters", "mapping", "waterfall", "controls"),
+    *("figures", "applications", "sync"),
+)
 FILES = {  # URL path: (file, content type)
     "/": ("index.html", "text/html; charset=utf-8"),
     "/style.css": ("style.css", "text/css; charset=utf-8"),
@@ -54,7 +59,7 @@ SECURITY = {
     "X-Frame-Options": "DENY",
 }
 
-_REQUESTS = ("set", "application", "felt", "mute", "tone", "undo", "save")
+_REQUESTS = ("set", "application", "mute", "tone", "sync", "undo", "save")
 
 
 class PageServer:
@@ -133,7 +138,7 @@ class PageServer:
             response.headers["Set-Cookie"] = access.cookie
             return response
         if path == "/metrics" and (cookie or bearer):
-            return _response(HTTPStatus.OK, metrics_text(self._clients), CONTENT_TYPE)
+            return _response(HTTPStatus.OK, metrics_text(self._clients), CONTENT_TYPE_LATEST)
         if path == "/metrics" or not cookie:
             needed = "the token is missing or wrong; open the address that `cushion monitor` prints"
             return _text(HTTPStatus.FORBIDDEN, needed)
@@ -160,6 +165,8 @@ class PageServer:
             sending.cancel()
             with suppress(asyncio.CancelledError, ConnectionClosed):
                 await sending
+            if client.tries:
+                await self._link.control({"sync": {"try_ms": None}})
 
     async def _take(self, client: Client, message: str | bytes) -> bool:
         """Process a browser's message; return whether the message is valid."""
@@ -174,10 +181,32 @@ class PageServer:
         if type(asked.get("id")) is not int:
             return False
         request = {name: asked[name] for name in _REQUESTS if name in asked}
-        answer = await self._link.control(request)
+        if "autostart" in asked:
+            answer = await asyncio.to_thread(self._start_at_login, asked["autostart"])
+        else:
+            answer = await self._link.control(request)
+            if isinstance(sync := request.get("sync"), dict):
+                client.tries = sync.get("try_ms") is not None
         client.answer(json.dumps({"id": asked["id"], "answer": answer}))
         await asyncio.sleep(CONTROL_PAUSE_S)
         return True
+
+    def _start_at_login(self, on: object) -> dict[str, Any]:
+        """Switch the start at login on or off, or only report it if `on` is None.
+
+        The daemon cannot do this, because its service may not write to the config home.
+        """
+        if on is not None and not isinstance(on, bool):
+            return {"error": "autostart takes true, false or null"}
+        try:
+            if on is not None:
+                unit = install.installed_text(self._environ) or ""
+                if on and '"--device"' not in unit and not names_a_device():
+                    raise UsageError("the config names no device; run `cushion setup` first")
+                autostart.set_on(on, self._environ)
+            return {"done": True, "autostart": autostart.is_on(self._environ)}
+        except CushionError as error:
+            return {"error": one_line(str(error), 400)}
 
 
 class _Connection(ServerConnection):

@@ -1,7 +1,5 @@
 """Worker processes that execute batches of work, and a function that renders files with them."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

@@ -1,7 +1,5 @@
 """The principal frequencies (main spectral peaks) of a sound in each unit (analysis window)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass

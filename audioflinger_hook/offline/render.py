@@ -1,14 +1,11 @@
 """Offline rendering of sound to a file of vibration, with the same steps as for live sound."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.drive.drive import Drive
 from audioflinger_hook.pipeline.framework import (
     OFFLINE_HAL_FRAMES,
     Framework,
@@ -18,7 +15,6 @@ from audioflinger_hook.pipeline.framework import (
 )
 from audioflinger_hook.pipeline.step import Pipeline, Step
 from audioflinger_hook.sources import Client, FileTap, TapClient
-from device.drive.channel_map import ChannelMap
 from device.drive.exposure import Exposure
 from device.drive.outputs import FADE_S, AlignedOutput, DrivenOutput, FadedOutput
 from device.errors import UsageError
@@ -138,10 +134,14 @@ def render(
             outputs.append(rig)
         faded = [FadedOutput(output, round(fade_s * rate)) for output in outputs]
         drives = [drive_of(settings, rate, framework.haptic_channels) for _ in faded]
-        driven = [
-            _driven(output, drive, channel_map, framework.latency_frames)
-            for output, drive in zip(faded, drives, strict=True)
-        ]
+        driven = []
+        for after, drive in zip(faded, drives, strict=True):
+            # A delayed actuator first plays frames from before the sound, so these are removed
+            # after the drive.
+            late = framework.latency_frames if drive.sources else 0
+            aligned = AlignedOutput(after, drive.latency_frames + late)
+            before = DrivenOutput(aligned, drive, channel_map)
+            driven.append(AlignedOutput(before, framework.latency_frames - late))
         chain = Pipeline(client, framework, driven)
         take = observe(framework) if observe else None
         frames = 0
@@ -178,19 +178,6 @@ def render(
         models=rig.seconds if rig else [],
         warnings=[*framework.warnings, *framework.bypass_warnings(), *warnings],
     )
-
-
-def _driven(
-    output: VibrationOutput, drive: Drive, channel_map: ChannelMap, latency_frames: int
-) -> VibrationOutput:
-    """Return an output that applies `drive` and removes the latency of transform and drive."""
-    if drive.sources:
-        # AlignedOutput follows the drive, because a delayed actuator first plays frames from before
-        # the sound.
-        aligned = AlignedOutput(output, latency_frames + drive.latency_frames)
-        return DrivenOutput(aligned, drive, channel_map)
-    driven = DrivenOutput(AlignedOutput(output, drive.latency_frames), drive, channel_map)
-    return AlignedOutput(driven, latency_frames)
 
 
 def refuse_same_file(source: Path, target: Path, acceleration: Path | None) -> None:

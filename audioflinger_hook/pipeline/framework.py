@@ -1,7 +1,5 @@
 """The audio framework: mixer, effect chains and the haptic effect."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

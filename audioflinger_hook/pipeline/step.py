@@ -1,7 +1,5 @@
 """Moves sound from a client through mixer and effects to the outputs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Installation of the plugin, its designs, an LV2 bundle and a PipeWire configuration."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from contextlib import suppress
@@ -28,6 +26,10 @@ BUNDLE = "haptic-cushion.lv2"
 CHAIN = "haptic-cushion.conf"
 HOST = "filter-chain.conf"
 HOST_FOLDERS = (Path("/usr/share/pipewire"), Path("/etc/pipewire"))
+LOADING_COMMANDS = (  # load the PipeWire configuration now, and at every login
+    "pipewire -c filter-chain.conf",
+    "systemctl --user enable --now filter-chain.service",
+)
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class Places:
     chain: Path
 
     @classmethod
-    def of(cls, environ: Mapping[str, str]) -> Places:
+    def of(cls, environ: Mapping[str, str]) -> "Places":
         """Return the paths of a user. UsageError: HOME is not an absolute path."""
         home = environ.get("HOME", "")
         if not home.startswith("/"):
@@ -130,12 +132,6 @@ def remove(places: Places) -> list[Path]:
         with suppress(OSError):  # the folder contains other files, or does not exist
             folder.rmdir()
     return removed
-
-
-def loading_commands() -> tuple[str, str]:
-    """Return two commands that load the PipeWire configuration: now, and at every login."""
-    now = "pipewire -c filter-chain.conf"
-    return now, "systemctl --user enable --now filter-chain.service"
 
 
 def _filled(name: str, **values: str) -> bytes:

@@ -1,7 +1,5 @@
 """The variants (plugins) in the compiled file, and Turtle files that describe them for LV2."""
 
-from __future__ import annotations
-
 import ctypes
 import re
 from collections.abc import Sequence

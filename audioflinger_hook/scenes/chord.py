@@ -1,19 +1,10 @@
 """A synthesised chord: an arpeggio on a piano with sustained strings."""
 
-from __future__ import annotations
+from __future__ import annotations  # numpy.random takes memory
 
 import numpy as np
 
-from audioflinger_hook.scenes.shaping import (
-    band,
-    curve,
-    finished,
-    pan,
-    phase,
-    ring,
-    room,
-    times_s,
-)
+from audioflinger_hook.scenes.shaping import band, curve, finished, pan, phase, ring, room, times_s
 from device.units import Float32Array, FloatArray
 
 DURATION_S = 3.1

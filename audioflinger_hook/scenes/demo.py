@@ -11,7 +11,7 @@
 The sounds have different samplerates and sample formats, as sounds of separate applications can.
 """
 
-from __future__ import annotations
+from __future__ import annotations  # numpy.random takes memory
 
 from collections.abc import Callable
 from dataclasses import dataclass

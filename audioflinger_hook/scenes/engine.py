@@ -5,22 +5,13 @@ which is two revolutions of the crankshaft. Eight cylinders fire in each cycle, 
 16 and so on are loud. Uneven firing of the two cylinder banks produces the other orders.
 """
 
-from __future__ import annotations
+from __future__ import annotations  # numpy.random takes memory
 
 import math
 
 import numpy as np
 
-from audioflinger_hook.scenes.shaping import (
-    band,
-    curve,
-    finished,
-    pan,
-    phase,
-    ring,
-    room,
-    times_s,
-)
+from audioflinger_hook.scenes.shaping import band, curve, finished, pan, phase, ring, room, times_s
 from device.units import Float32Array, FloatArray
 
 DURATION_S = 4.4

@@ -1,19 +1,10 @@
 """Synthesised impacts: footsteps on gravel, and an explosion with falling debris."""
 
-from __future__ import annotations
+from __future__ import annotations  # numpy.random takes memory
 
 import numpy as np
 
-from audioflinger_hook.scenes.shaping import (
-    band,
-    curve,
-    finished,
-    pan,
-    phase,
-    ring,
-    room,
-    times_s,
-)
+from audioflinger_hook.scenes.shaping import band, curve, finished, pan, phase, ring, room, times_s
 from device.units import Float32Array, FloatArray
 
 FOOTSTEPS_DURATION_S = 2.5

@@ -1,6 +1,6 @@
 """Tools of synthesis. Mono signals are arrays of shape (frames,), stereo signals (frames, 2)."""
 
-from __future__ import annotations
+from __future__ import annotations  # numpy.random takes memory
 
 from collections.abc import Sequence
 

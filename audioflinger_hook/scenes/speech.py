@@ -4,9 +4,9 @@ The source-filter model (G. Fant, "Acoustic Theory of Speech Production", 1960) 
 with the formants of the vocal tract. Consonants are band-passed noise.
 """
 
-from __future__ import annotations
+from __future__ import annotations  # numpy.random takes memory
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,8 +34,7 @@ HISSES = {
 }
 
 
-@dataclass(frozen=True)
-class Syllable:
+class Syllable(NamedTuple):
     """A syllable: a consonant of `HISSES`, or "" for none, then two vowels (may be the same)."""
 
     start_s: float
@@ -82,7 +81,13 @@ def speech(samplerate: int, rng: np.random.Generator, peak: float) -> Float32Arr
 
 def _voice(time_s: FloatArray, samplerate: int, rng: np.random.Generator) -> FloatArray:
     """Return the vowels at constant loudness: harmonics filtered by formants, shape (frames,)."""
-    pitch_points, formant_points = _articulation()
+    pitch_points: list[tuple[float, float]] = []
+    formant_points: list[tuple[float, tuple[float, float, float, float]]] = []
+    for one in SYLLABLES:
+        stop_s = one.start_s + one.length_s
+        pitch_points += [(one.start_s, one.pitch_hz), (stop_s, 0.9 * one.pitch_hz)]
+        for vowel, share in zip(one.vowels, (0.25, 0.85), strict=True):
+            formant_points.append((one.start_s + share * one.length_s, FORMANTS_HZ[vowel]))
     jitter = band(rng.standard_normal(time_s.size), None, 25.0, samplerate)
     pitch_hz = curve(time_s, pitch_points) * (1.0 + 0.006 * jitter / np.std(jitter))
     phasor = np.exp(1j * phase(pitch_hz, samplerate))
@@ -109,19 +114,6 @@ def _voice(time_s: FloatArray, samplerate: int, rng: np.random.Generator) -> Flo
         gain[frequency_hz > min(HIGHEST_HARMONIC_HZ, 0.45 * samplerate)] = 0.0
         voice += np.interp(time_s, control_s, gain) * power.imag
     return voice
-
-
-def _articulation() -> tuple[
-    list[tuple[float, float]], list[tuple[float, tuple[float, float, float, float]]]
-]:
-    """Return points for `curve`: (time in s, pitch in Hz) and (time in s, formants in Hz)."""
-    pitch: list[tuple[float, float]] = []
-    tract: list[tuple[float, tuple[float, float, float, float]]] = []
-    for one in SYLLABLES:
-        pitch += [(one.start_s, one.pitch_hz), (one.start_s + one.length_s, 0.9 * one.pitch_hz)]
-        for vowel, share in zip(one.vowels, (0.25, 0.85), strict=True):
-            tract.append((one.start_s + share * one.length_s, FORMANTS_HZ[vowel]))
-    return pitch, tract
 
 
 def _hiss(

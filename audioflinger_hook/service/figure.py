@@ -4,8 +4,6 @@ The text and JSON forms of the status, Prometheus, the live page and docs/figure
 fields. A new field gets its value from `daemon/status_report.py` or through `Figure.read`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, is_dataclass, replace

@@ -1,20 +1,18 @@
 """The text and the installation of the systemd user unit, and the text of the udev rule."""
 
-from __future__ import annotations
-
 import os
 import re
 import stat
 import string
-import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from subprocess import DEVNULL, SubprocessError, check_output
 
 from audioflinger_hook.service.one_line import one_line
-from device.atomic_file import make_private_folder, write_bytes_atomically
+from device.atomic_file import make_private_folder, remove_file, write_private
 from device.errors import UsageError
 
 NAME = "cushion.service"
@@ -138,10 +136,12 @@ UDEV_COMMAND = (  # shell command, which requires root
 )
 
 
-UNIT_BYTES_MAX = 1 << 16
+OWN_BYTES_MAX = 1 << 16
 SYSTEMCTL_S = 5.0
-START = ("systemctl --user daemon-reload", "systemctl --user enable --now cushion.service")
-FORGET = ("systemctl --user daemon-reload",)
+RELOAD = "systemctl --user daemon-reload"
+START = ("systemctl --user enable cushion.service", "systemctl --user restart cushion.service")
+RESTART = (RELOAD, "systemctl --user try-restart cushion.service")  # if it is running
+FORGET = ("systemctl --user stop cushion.service", RELOAD)
 
 
 @dataclass(frozen=True)
@@ -169,21 +169,23 @@ def own_command(argv0: str = sys.argv[0], python: str = sys.executable) -> tuple
 
 def systemd_version() -> int:
     """Return the version of systemd, or 0 if `systemctl` does not report the version."""
-    try:
-        told = subprocess.check_output(
-            ["systemctl", "--version"],
-            stdin=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            timeout=SYSTEMCTL_S,
-        )
-    except (OSError, subprocess.SubprocessError):
-        return 0
-    found = re.match(rb"systemd (\d{1,6})\b", told)
+    found = re.match(r"systemd (\d{1,6})\b", printed("systemctl", "--version"), re.ASCII)
     return int(found[1]) if found else 0
 
 
-def _unit_path(environ: Mapping[str, str]) -> Path:
-    return _home(environ, "XDG_CONFIG_HOME", ".config") / "systemd" / "user" / NAME
+def printed(
+    *command: str, environ: Mapping[str, str] = os.environ, limit_s: float = SYSTEMCTL_S
+) -> str:
+    """Return what a program prints; "" if it is missing, fails or takes over `limit_s`."""
+    with suppress(OSError, SubprocessError):
+        done = check_output(command, env=environ, stdin=DEVNULL, stderr=DEVNULL, timeout=limit_s)
+        return done.decode(errors="replace")
+    return ""
+
+
+def unit_path(environ: Mapping[str, str]) -> Path:
+    """Return the path of the unit. UsageError: no home folder is known."""
+    return home_folder(environ, "XDG_CONFIG_HOME", ".config") / "systemd" / "user" / NAME
 
 
 def install(
@@ -202,57 +204,64 @@ def install(
     state = state_folder(environ)
     text = unit_text([*(command or own_command()), "run", *arguments], state, systemd)
     make_private_folder(state)
-    return restore(text, environ)
+    return replace(restore(text, environ), commands=START)
 
 
 def installed_text(environ: Mapping[str, str] = os.environ) -> str | None:
     """Return the unit's text, or None. UsageError: no home folder, or a unit of another program."""
-    path, text = _unit_path(environ), ""
-    with suppress(OSError, UnicodeDecodeError):
-        try:
-            found = path.lstat()
-        except (FileNotFoundError, NotADirectoryError):  # `install` reports NotADirectoryError
-            return None
-        if stat.S_ISREG(found.st_mode) and found.st_size <= UNIT_BYTES_MAX:
-            text = path.read_text(encoding="utf-8")
-    if not text.startswith(MARK):
-        raise UsageError(
-            f"{path} was not written by `cushion install-service` and is left alone; "
-            "move it away first"
-        )
-    return text
+    return own_text(unit_path(environ), MARK)
 
 
 def restore(text: str | None, environ: Mapping[str, str] = os.environ) -> Installed:
     """Write `text` as the unit, or remove the unit if `text` is None. Errors: see `install`."""
+    path = unit_path(environ)
+    changed = replace_own(path, MARK, text)
+    return Installed(path, changed, FORGET * changed if text is None else RESTART)
+
+
+def own_text(path: Path, mark: str) -> str | None:
+    """Return the text of a file of this program, which begins with `mark`; None without a file.
+
+    UsageError: another program wrote the file, or it cannot be read.
+    """
+    try:
+        found = path.lstat()
+        is_usual = stat.S_ISREG(found.st_mode) and found.st_size <= OWN_BYTES_MAX
+        text = path.read_text(encoding="utf-8", errors="replace") if is_usual else ""
+    except (FileNotFoundError, NotADirectoryError):  # `replace_own` reports NotADirectoryError
+        return None
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror}; move it away first") from error
+    if not text.startswith(mark):
+        raise UsageError(
+            f"{path} was not written by `cushion` and is left alone; move it away first"
+        )
+    return text
+
+
+def replace_own(path: Path, mark: str, text: str | None) -> bool:
+    """Write a file of this program, or remove it if `text` is None; return whether it changed.
+
+    UsageError: see `own_text`, or a folder is not writable. WriteError: the disk is full or failed.
+    """
+    before = own_text(path, mark)
     if text is None:
-        return remove(environ)
-    path = _unit_path(environ)
-    changed = installed_text(environ) != text
-    if changed:
-        make_private_folder(path.parent)
-        write_bytes_atomically(path, text.encode())
-    return Installed(path, changed, START)
+        remove_file(path)
+    elif text != before:
+        write_private(path, text.encode())
+    return text != before
 
 
 def state_folder(environ: Mapping[str, str] = os.environ) -> Path:
     """Return the state folder. UsageError: neither XDG_STATE_HOME nor HOME is an absolute path."""
-    return _home(environ, "XDG_STATE_HOME", ".local/state") / "cushion"
+    return home_folder(environ, "XDG_STATE_HOME", ".local/state") / "cushion"
 
 
-def remove(environ: Mapping[str, str] = os.environ) -> Installed:
-    """Remove the unit. UsageError: another program wrote the unit, or removal failed."""
-    path = _unit_path(environ)
-    if installed_text(environ) is None:
-        return Installed(path, False, ())
-    try:
-        path.unlink()
-    except OSError as error:
-        raise UsageError(f"cannot remove {path}: {error.strerror}; remove it yourself") from error
-    return Installed(path, True, FORGET)
+def home_folder(environ: Mapping[str, str], variable: str, otherwise: str) -> Path:
+    """Return an XDG base folder: the variable's, else `otherwise` in the user's home.
 
-
-def _home(environ: Mapping[str, str], variable: str, otherwise: str) -> Path:
+    UsageError: neither the variable nor HOME is an absolute path.
+    """
     text = environ.get(variable, "")
     # By the XDG specification, relative paths are ignored.
     if text.startswith("/"):

@@ -1,7 +1,5 @@
 """Conversion of dataclasses to JSON and back, with strict checks of keys and types."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

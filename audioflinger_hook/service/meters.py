@@ -1,7 +1,5 @@
 """Measurements in the audio threads: levels, and computing times of buffers."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -9,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from audioflinger_hook.service.figure import figure
-from device.blocks import peak
 from device.units import Float32Array, FloatArray, amplitude_to_db
 
 FLOOR_DBFS = -150.0  # lowest reported level, also for silence
@@ -47,61 +44,47 @@ class LevelMeter:
     def __init__(self, samplerate: float) -> None:
         self._rms_rate = -1.0 / (RMS_TIME_S * samplerate)
         self._fall_rate = -PEAK_FALL_DB_PER_S * math.log(10.0) / (20.0 * samplerate)
-        self._reading = (0.0, 0.0)  # a single object, so other threads read consistent values
-        self._of_channels: tuple[FloatArray, FloatArray] | None = None
+        # Peaks and mean squares are one object, so other threads read consistent values.
+        self._of_channels: tuple[FloatArray, FloatArray] = (np.zeros(1), np.zeros(1))
 
     def add(self, block: Float32Array) -> float:
         """Measure a block of shape (frames, channels) or (frames,); return its peak."""
         if not block.size:
             return 0.0
-        frames = len(block)
-        loudest = peak(block)
-        axes = "ij,ij->" if block.ndim == 2 else "i,i->"
-        square = float(np.einsum(axes, block, block, dtype=np.float64)) / block.size
-        if not math.isfinite(square + loudest):
-            return loudest
-        held, mean = self._reading
-        keep, fall = math.exp(frames * self._rms_rate), math.exp(frames * self._fall_rate)
-        held = max(loudest, held * fall)
-        # Values below the floor become 0, since subnormal numbers are slow.
-        mean = keep * mean + (1.0 - keep) * square
-        self._reading = (held if held > _BELOW else 0.0, mean if mean > _BELOW**2 else 0.0)
-        if block.ndim == 2 and block.shape[1] > 1:
-            self._add_channels(block, keep, fall)
-        return loudest
-
-    def _add_channels(self, block: Float32Array, keep: float, fall: float) -> None:
+        block = block.reshape(len(block), -1)
         peaks = np.maximum(block.max(axis=0), -block.min(axis=0)).astype(np.float64)
         squares = np.einsum("ij,ij->j", block, block, dtype=np.float64) / len(block)
-        squares *= 1.0 - keep
-        if self._of_channels is not None and len(self._of_channels[0]) == len(peaks):
-            held, mean = self._of_channels
-            peaks = np.maximum(peaks, fall * held)
-            squares += keep * mean
-        self._of_channels = (
-            np.where(peaks > _BELOW, peaks, 0.0),
-            np.where(squares > _BELOW**2, squares, 0.0),
-        )
+        loudest = float(peaks.max())
+        if not math.isfinite(loudest + float(squares.sum())):
+            return loudest
+        held, mean = self._of_channels
+        if held.size != peaks.size:
+            held, mean = np.full(peaks.size, held.max()), np.full(peaks.size, mean.mean())
+        keep = math.exp(len(block) * self._rms_rate)
+        held = np.maximum(peaks, math.exp(len(block) * self._fall_rate) * held)
+        mean = keep * mean + (1.0 - keep) * squares
+        # Values below the floor become 0, since subnormal numbers are slow.
+        held = np.where(held > _BELOW, held, 0.0)
+        self._of_channels = (held, np.where(mean > _BELOW**2, mean, 0.0))
+        return loudest
 
     def reset(self) -> None:
         """Restart with silence."""
-        self._reading = (0.0, 0.0)
-        self._of_channels = None
+        self._of_channels = (np.zeros(1), np.zeros(1))
 
     def level(self) -> Level:
         """Return the current level, at least FLOOR_DBFS."""
-        return level_of(*self._reading)
+        return level_of(*self.reading())
 
     def reading(self) -> Reading:
         """Return the current peak and mean square."""
-        return self._reading
+        held, mean = self._of_channels
+        return float(held.max()), float(mean.mean())
 
     def channel_readings(self) -> list[Reading]:
         """Return the current peak and mean square of each channel."""
-        found = self._of_channels
-        if found is None:
-            return [self._reading]
-        return list(zip(found[0].tolist(), found[1].tolist(), strict=True))
+        held, mean = self._of_channels
+        return list(zip(held.tolist(), mean.tolist(), strict=True))
 
 
 class BufferedLevelMeter:

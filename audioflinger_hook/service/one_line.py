@@ -1,7 +1,5 @@
 """Conversion of untrusted text to one line for a terminal."""
 
-from __future__ import annotations
-
 SHOWN_MAX = 200  # default limit in characters
 
 

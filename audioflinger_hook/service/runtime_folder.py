@@ -1,7 +1,5 @@
 """The daemon's private folder, and the lock that limits each user to one daemon."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl
@@ -13,12 +11,12 @@ from pathlib import Path
 
 from audioflinger_hook.service.json_codec import from_json, to_json
 from audioflinger_hook.service.one_line import one_line
-from device.errors import InternalError, NotFoundError, UsageError, WriteError
+from device.errors import CushionError, InternalError, NotFoundError, UsageError, WriteError
 
 VARIABLE = "XDG_RUNTIME_DIR"
 FOLDER_NAME = "cushion"
 LOCK_NAME = "daemon.lock"
-HOLDER_BYTES_MAX = 4096
+_HOLDER_BYTES_MAX = 4096
 
 _OPEN_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 # The sticky bit protects the file from programs that clean runtime folders.
@@ -27,7 +25,7 @@ _LOCK_MODE = stat.S_ISVTX | 0o600
 _OPEN_LOCK = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
 
 
-class RuntimeFolder:
+class RuntimeFolder(contextlib.AbstractContextManager["RuntimeFolder"]):
     """The open folder `$XDG_RUNTIME_DIR/cushion`. Any thread may use the folder until `close`.
 
     If the variable is not set, the path is `/run/user/UID/cushion`. Without `/run/user/UID`, the
@@ -43,7 +41,7 @@ class RuntimeFolder:
     """
 
     def __init__(self, environ: Mapping[str, str], create: bool) -> None:
-        self.path = _place(environ)
+        self.path = folder_path(environ)
         try:
             if create:
                 with contextlib.suppress(FileExistsError):
@@ -88,9 +86,6 @@ class RuntimeFolder:
             os.close(self.fd)
             self.fd = -1
 
-    def __enter__(self) -> RuntimeFolder:
-        return self
-
     def __exit__(self, *_: object) -> None:
         self.close()
 
@@ -104,7 +99,7 @@ class Holder:
     device: str
 
 
-class DaemonLock:
+class DaemonLock(contextlib.AbstractContextManager["DaemonLock"]):
     """The lock that limits each user to one daemon, held until `release` or the end of the process.
 
     Programs that the daemon starts do not inherit the lock. holder: this daemon, as named in the
@@ -140,14 +135,28 @@ class DaemonLock:
             os.close(self._fd)
             self._fd = -1
 
-    def __enter__(self) -> DaemonLock:
-        return self
-
     def __exit__(self, *_: object) -> None:
         self.release()
 
 
-def _place(environ: Mapping[str, str]) -> Path:
+def read_lock(environ: Mapping[str, str]) -> tuple[Holder | None, bool]:
+    """Return the daemon that the lock file names, and whether a process holds the lock.
+
+    This reads the kernel's list of locks: to try the lock could stop a daemon that starts now.
+    """
+    holder, is_locked = None, False
+    with contextlib.suppress(CushionError, OSError), RuntimeFolder(environ, create=False) as folder:
+        flags = _OPEN_LOCK & ~(os.O_RDWR | os.O_CREAT)
+        with os.fdopen(os.open(LOCK_NAME, flags, dir_fd=folder.fd), "rb") as file:
+            number = f":{os.fstat(file.fileno()).st_ino} "
+            locks = Path("/proc/locks").read_text().splitlines()
+            is_locked = any(number in one and "FLOCK" in one for one in locks)
+            holder = from_json(Holder, file.read(_HOLDER_BYTES_MAX))
+    return holder, is_locked
+
+
+def folder_path(environ: Mapping[str, str]) -> Path:
+    """Return the path of `RuntimeFolder`. UsageError: the variable is not a usable path."""
     user = os.geteuid()
     text = environ.get(VARIABLE, "")
     base = Path(text or f"/run/user/{user}")
@@ -193,7 +202,7 @@ def _held(fd: int) -> UsageError:
     """Return the error for a lock that another daemon holds, with the holder if known."""
     who = ""
     with contextlib.suppress(OSError, OverflowError, UsageError):
-        holder = from_json(Holder, os.pread(fd, HOLDER_BYTES_MAX, 0))
+        holder = from_json(Holder, os.pread(fd, _HOLDER_BYTES_MAX, 0))
         # The file may still name an earlier daemon, whose process does not exist.
         os.kill(max(1, holder.pid), 0)
         started, device = one_line(holder.started, 40), one_line(holder.device, 80)

@@ -79,6 +79,12 @@ def latency(one: LatencyBudget) -> str:
     return f"{one.total_ms:.1f} ms{early}" + (f" = {shown.removeprefix(' + ')}" if shown else "")
 
 
+def offset_reason(reason: str) -> str:
+    """Return where the offset comes from, with advice if the delay of the speakers is unknown."""
+    advice = ": `cushion sync` measures the delay of the speakers"
+    return reason + advice if reason == "not known" else reason
+
+
 def cycle(graph: GraphFigures) -> str:
     """Return the length of a cycle of PipeWire's graph, "" before the first cycle."""
     if not graph.samplerate:

@@ -1,7 +1,5 @@
 """The daemon's state, and the number of recoveries for each cause."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The figures in the status of a daemon; see `Figure`. In JSON, a group of figures is an object."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -70,6 +68,9 @@ class Application:
     name: str = figure("name of the application")
     plays: bool = figure("whether the application plays sound")
     is_felt: bool = figure("whether the application's sound causes vibration")
+    rule: str = figure(
+        'why all or part of it is left out, such as "call" or "alert", or the rule that acts', ""
+    )
 
 
 PART = "cushion_delay_part_seconds{part}"
@@ -88,14 +89,14 @@ class LatencyBudget:
         "longest delay that is set for an actuator", 0.0, label="actuator", metric=PART
     )
     offset_ms: float = figure(
-        "offset set by the user, minus the delay of drop-in mode", 0.0, metric=PART
+        "offset of the vibration, minus the delay of drop-in mode", 0.0, metric=PART
     )
     total_ms: float = figure(
         "delay of the vibration after its sound", 0.0, metric="cushion_delay_seconds"
     )
 
     @classmethod
-    def of(cls, **parts_ms: float) -> LatencyBudget:
+    def of(cls, **parts_ms: float) -> "LatencyBudget":
         """Return the given parts, in ms, with their sum."""
         return cls(**parts_ms, total_ms=sum(parts_ms.values()))
 
@@ -226,7 +227,7 @@ class ActuatorFigures:
     )
 
 
-def status_rows(status: Status) -> list[Row]:
+def status_rows(status: "Status") -> list[Row]:
     """Return the rows of a status."""
     if status.actuators:  # each actuator has rows for protection and exposure
         status = replace(status, protection=None, exposure=None)
@@ -269,6 +270,7 @@ class Status:
         "principal frequencies of the last hop", (), show=shown.principal
     )
     applications: tuple[Application, ...] = figure("applications that have a stream", ())
+    rule: str = figure("[[application]] rule that acts; empty for none", "", show="{}")
     server: str = figure('the sound server, "" for none', "", show="{}")
     graph: GraphFigures | None = figure(
         "PipeWire's graph; null without the native engine", None, row="server", show=shown.cycle
@@ -287,6 +289,22 @@ class Status:
         "process id of the native engine; 0 for none", 0, read="process_id", kind="gauge"
     )
     latency: LatencyBudget = figure("delay of the vibration", LatencyBudget, show=shown.latency)
+    offset_ms: float = figure(
+        "offset of the vibration; below 0, drop-in mode delays the sound",
+        0.0,
+        read="alignment.offset_s",
+        scale=1e3,
+        row="offset",
+        panel="health",
+        show="{:.1f} ms",
+    )
+    offset_reason: str = figure(
+        "where the offset comes from",
+        "",
+        read="alignment.offset.reason",
+        row="offset",
+        show=shown.offset_reason,
+    )
     delay_line: DelayLineFigures = figure(
         "delay line between two clocks: the Python engine's",
         DelayLineFigures,

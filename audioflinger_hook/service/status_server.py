@@ -7,8 +7,6 @@ A request is one line of JSON:
 - `{"ask": "control", "protocol": 1, ...}` is answered by one line; see `daemon/live_control.py`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -48,21 +46,6 @@ STOP_S = 2.0  # timeout of `stop`, in case a thread hangs in `read`
 _ADVICE = 'send {"ask": "status"} and a line break'
 _KNOWN = 'allowed: {"ask": "status"}, or watch or control with "protocol": 1'
 _PEER = struct.Struct("3i")
-_ASK = json.dumps(ASK_STATUS).encode()
-
-
-def answer(request: bytes, read: Callable[[], Status]) -> bytes:
-    """Return the answer to a request: the status, or `{"error": ...}`. Raises nothing."""
-    try:
-        asked = json.loads(request)
-    except (ValueError, RecursionError):
-        return _error(f"the request is not JSON; {_ADVICE}")
-    if asked != ASK_STATUS:
-        return _error(f"the request is not known; {_KNOWN}")
-    try:
-        return to_json(read()).encode() + b"\n"
-    except Exception as error:  # an exception must not end the server's thread
-        return _error(f"the status is not available: {type(error).__name__}: {error}")
 
 
 class Live(Protocol):
@@ -143,7 +126,7 @@ class StatusServer:
                 os.unlink(NAME, dir_fd=self._folder.fd)
         self._listener.close()
 
-    def __enter__(self) -> StatusServer:
+    def __enter__(self) -> "StatusServer":
         for thread in self._threads:
             thread.start()
         return self
@@ -182,28 +165,33 @@ class StatusServer:
                 problem = f"the request is longer than {REQUEST_BYTES_MAX} bytes"
                 client.sendall(_error(f"{problem}; {_ADVICE}"))
                 return
-            asked = self._asked_of_live(request)
-            if asked and asked["ask"] == "watch":
-                self._let_watch(client, asked)
-                return
-            replied = self._reply(asked) if asked else answer(request, self._read)
+            try:
+                asked = json.loads(request)
+            except (ValueError, RecursionError):
+                answer = _error(f"the request is not JSON; {_ADVICE}")
+            else:
+                live = self._live if isinstance(asked, dict) else None
+                if live and asked.get("ask") == "watch":
+                    self._let_watch(client, live, asked)
+                    return
+                if live and asked.get("ask") == "control":
+                    answer = _other_protocol(asked) or _line(live.control(asked))
+                elif asked == ASK_STATUS:
+                    answer = self._status()
+                else:
+                    answer = _error(f"the request is not known; {_KNOWN}")
             self._set_timeout(client, end_s + REQUEST_TIME_S)
-            client.sendall(replied)
+            client.sendall(answer)
             self._stopping.wait(PAUSE_S)
 
-    def _asked_of_live(self, request: bytes) -> dict[str, Any] | None:
-        """Return a `watch` or `control` request, or None for other requests."""
-        with contextlib.suppress(ValueError, RecursionError):
-            asked = json.loads(request)
-            known = isinstance(asked, dict) and asked.get("ask") in ("watch", "control")
-            return asked if known and self._live is not None else None
-        return None
+    def _status(self) -> bytes:
+        """Return the status, or `{"error": ...}`, as a line of JSON. Raises nothing."""
+        try:
+            return to_json(self._read()).encode() + b"\n"
+        except Exception as error:  # an exception must not end the server's thread
+            return _error(f"the status is not available: {type(error).__name__}: {error}")
 
-    def _reply(self, asked: dict[str, Any]) -> bytes:
-        assert self._live is not None
-        return _other_protocol(asked) or _line(self._live.control(asked))
-
-    def _let_watch(self, client: socket.socket, asked: dict[str, Any]) -> None:
+    def _let_watch(self, client: socket.socket, live: Live, asked: dict[str, Any]) -> None:
         """Send lines until the client disconnects. A slow client gets fewer frames."""
         rate_hz = asked.get("rate_hz", 30.0)
         if refusal := _other_protocol(asked):
@@ -213,16 +201,16 @@ class StatusServer:
         elif not self._watchers.acquire(blocking=False):
             client.sendall(_error(f"{WATCHERS_MAX} clients watch already; close one of them"))
         else:
-            if self._live is not None and isinstance(page := asked.get("page"), str):
-                self._live.watched_by(page)
+            if isinstance(page := asked.get("page"), str):
+                live.watched_by(page)
             try:
-                self._watch(client, 1.0 / rate_hz, in_memory=asked.get("memory") is True)
+                self._watch(client, live, 1.0 / rate_hz, in_memory=asked.get("memory") is True)
             finally:
                 self._watchers.release()
 
-    def _watch(self, client: socket.socket, period_s: float, *, in_memory: bool) -> None:
-        live = self._live
-        assert live is not None
+    def _watch(
+        self, client: socket.socket, live: Live, period_s: float, *, in_memory: bool
+    ) -> None:
         client.setblocking(False)
         client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WATCH_BUFFER_BYTES)
         rest = _line({"hello": {"protocol": PROTOCOL, "version": __version__}})
@@ -243,7 +231,7 @@ class StatusServer:
                     rest += _line({"settings": told})
                 if now_s >= status_due_s:
                     status_due_s = now_s + STATUS_EVERY_S
-                    rest += b'{"status": %b}\n' % answer(_ASK, self._read).rstrip()
+                    rest += b'{"status": %b}\n' % self._status().rstrip()
             try:
                 rest = rest[client.send(rest) :]
             except BlockingIOError:

@@ -1,7 +1,5 @@
 """Messages to systemd, and the timing of the messages to systemd's watchdog."""
 
-from __future__ import annotations
-
 import math
 import os
 import socket

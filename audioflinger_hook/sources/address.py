@@ -1,7 +1,5 @@
 """Addresses of sound sources, as the option `--tap` accepts them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args

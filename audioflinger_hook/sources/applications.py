@@ -1,7 +1,5 @@
 """A client that plays several independent sounds, such as those of applications."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, field
 

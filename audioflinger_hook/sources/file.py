@@ -1,7 +1,5 @@
 """Taps of stored sound: a file, frames in memory, a capture."""
 
-from __future__ import annotations
-
 import os
 import re
 import stat
@@ -43,7 +41,11 @@ class FileTap(SteadyTap):
         expected = frames if 0 < frames < FRAMES_UNKNOWN else None
         try:
             if first:
-                self._skip_to(first)
+                try:
+                    self._file.seek(first)
+                except (soundfile.LibsndfileError, RuntimeError) as error:
+                    said = reason_of(error)
+                    raise UsageError(f"{path} has no frame {first} ({said})") from None
             check_format(*format_)
             super().__init__(*format_, self._decoded(first, expected), expected)
             if self._next is None:
@@ -60,12 +62,6 @@ class FileTap(SteadyTap):
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-    def _skip_to(self, frame: int) -> None:
-        try:
-            self._file.seek(frame)
-        except (soundfile.LibsndfileError, RuntimeError) as error:
-            raise UsageError(f"{self.path} has no frame {frame} ({reason_of(error)})") from None
 
     def _decoded(self, first: int, expected: int | None) -> Iterator[Float32Array]:
         """Yield buffers up to the end or the first damaged frame."""

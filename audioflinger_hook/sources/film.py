@@ -1,7 +1,5 @@
 """A tap of a film's sound track in any format of FFmpeg. It needs the optional package PyAV."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -52,7 +50,6 @@ class FilmTap(SteadyTap):
             codec = stream.codec_context
             format_ = (int(codec.sample_rate), int(codec.channels))
             check_format(*format_)
-            self._layout = codec.layout
             self._start_s = (self._container.start_time or 0) / av.time_base
             length_s = (self._container.duration or 0) / av.time_base
             expected = round(length_s * format_[0]) or None
@@ -101,7 +98,7 @@ class FilmTap(SteadyTap):
         """Yield decoded frames, with silence in gaps of the sound track."""
         import av
 
-        even = av.AudioResampler("flt", self._layout, self.samplerate)
+        even = av.AudioResampler("flt", stream.codec_context.layout, self.samplerate)
         done = 0
         for decoded in self._decoded(stream):
             if decoded.time is not None:
@@ -124,19 +121,14 @@ class FilmTap(SteadyTap):
 
     def _decoded(self, stream: Any) -> Iterator[Any]:
         """Yield decoded frames; skip damaged packets, with one warning."""
-        packets = self._container.demux(stream)
-        while True:
-            try:
-                packet = next(packets, None)
-                if packet is None:
-                    return
-            except self._errors as error:
-                self._note(error)
-                return
-            try:
-                yield from packet.decode()
-            except self._errors as error:
-                self._note(error)
+        try:
+            for packet in self._container.demux(stream):
+                try:
+                    yield from packet.decode()
+                except self._errors as error:
+                    self._note(error)
+        except self._errors as error:
+            self._note(error)
 
     def _note(self, error: Exception) -> None:
         if not self.warnings:

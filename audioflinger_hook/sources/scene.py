@@ -1,13 +1,10 @@
 """A client that plays a scene with one track per sound."""
 
-from __future__ import annotations
-
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
-from audioflinger_hook.mixer import Mixer, Track
+from audioflinger_hook.mixer import Mixer
 from audioflinger_hook.mixer.pcm import encode
 from audioflinger_hook.mixer.track import period_frames
 from audioflinger_hook.scenes import Scene, SceneTrack
@@ -34,7 +31,7 @@ class SceneClient:
     def connect(self, mixer: Mixer) -> None:
         """Create a track for every sound."""
         self._cycle_frames = min(self._cycle_frames, mixer.frames)
-        self._voices = [_Voice.on(mixer, track) for track in self._scene.tracks]
+        self._voices = [_Voice(mixer, track) for track in self._scene.tracks]
 
     def play(self) -> int | None:
         """Write all sounds for the next cycle. Return its length in frames, or None at the end."""
@@ -51,29 +48,19 @@ class SceneClient:
         """Do nothing: the client has no resources to release."""
 
 
-@dataclass
 class _Voice:
-    track: Track
-    stored: bytes
-    frame_bytes: int
-    start: int
-    pause: int
-    resume: int
-
-    @classmethod
-    def on(cls, mixer: Mixer, sound: SceneTrack) -> _Voice:
+    def __init__(self, mixer: Mixer, sound: SceneTrack) -> None:
         rate, channels = sound.samplerate, sound.frames.shape[1]
         period = period_frames(rate, mixer.samplerate, mixer.frames)
-        start = round(sound.start_s * mixer.samplerate)
-        pause, resume = -1, -1  # no frame has these numbers, so there is no pause
+        self.start = round(sound.start_s * mixer.samplerate)
+        self.pause = self.resume = -1  # no frame has this number, so there is no pause
         if sound.pause_s:
-            pause, resume = (round(at_s * mixer.samplerate) for at_s in sound.pause_s)
-        track = mixer.create_track(
+            self.pause, self.resume = (round(at_s * mixer.samplerate) for at_s in sound.pause_s)
+        self.track = mixer.create_track(
             sound.name, sound.pcm_format, rate, channels, ring_frames=4 * period, start_threshold=1
         )
-        stored = encode(sound.frames, sound.pcm_format)
-        frame_bytes = channels * sound.pcm_format.bytes_per_sample
-        return cls(track, stored, frame_bytes, start, pause, resume)
+        self.stored = encode(sound.frames, sound.pcm_format)
+        self.frame_bytes = channels * sound.pcm_format.bytes_per_sample
 
     def play(self, first: int, last: int) -> None:
         if first <= self.start < last:
@@ -83,7 +70,9 @@ class _Voice:
         if first <= self.resume < last:
             self.track.start()
         if self.start < last:
-            self._fill()
+            most = self.track.ring.room * self.frame_bytes
+            taken = self.track.write(self.stored[:most]) * self.frame_bytes
+            self.stored = self.stored[taken:]
             # A stopped track ignores a pause, so stop only after the last pause.
             if not self.stored and self.resume < last:
                 self.track.stop()
@@ -94,11 +83,6 @@ class _Voice:
         silence = encode(np.zeros((lead, self.track.channels), np.float32), self.track.format)
         self.stored = silence + self.stored
         self.track.start()
-
-    def _fill(self) -> None:
-        most = self.track.ring.room * self.frame_bytes
-        taken = self.track.write(self.stored[:most]) * self.frame_bytes
-        self.stored = self.stored[taken:]
 
 
 def mixdown(scene: Scene) -> Float32Array:

@@ -1,7 +1,5 @@
 """Interfaces of taps and clients, a base class of taps, and a tap for a part of another tap."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Protocol
 

@@ -1,7 +1,5 @@
 """A client that plays a tap on one track, and a tap that receives buffers by `push`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from audioflinger_hook.mixer import Mixer, PcmFormat, Track
@@ -109,8 +107,15 @@ class TapClient:
             if not len(self._pending):
                 if getattr(self._tap, "starved", False):
                     return 0
-                if not self._next_buffer():
+                buffer = None if self._ended else self._tap.read()
+                if buffer is None:
                     return self._play_tail()
+                self.buffers += 1
+                self.discontinuities += self._tap.discontinuity
+                if self._tap.format_changed:
+                    self.format_changes += 1
+                    self._begin(self._tap.samplerate, self._tap.channels)
+                self._pending = buffer
             part = self._pending[: self._most_at_once]
             self._pending = self._pending[len(part) :]
             assert self._track is not None
@@ -124,19 +129,6 @@ class TapClient:
     def close(self) -> None:
         """Close the tap."""
         self._tap.close()
-
-    def _next_buffer(self) -> bool:
-        """Read the tap's next buffer; return False at the end."""
-        buffer = None if self._ended else self._tap.read()
-        if buffer is None:
-            return False
-        self.buffers += 1
-        self.discontinuities += self._tap.discontinuity
-        if self._tap.format_changed:
-            self.format_changes += 1
-            self._begin(self._tap.samplerate, self._tap.channels)
-        self._pending = buffer
-        return True
 
     def _begin(self, samplerate: int, channels: int) -> None:
         """Create a track for the following buffers. A previous track plays its remaining frames."""

@@ -5,8 +5,6 @@ Let l and r, the halves, be weighted sums of the left and of the right channels.
 If the power of m is under `CANCELS_FROM` times this mean, the mix is m + f s, with f from 0 to 1.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Filter design with the formulas of `scipy.signal`, without an import of SciPy."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The public class of the transform, which computes vibration from sound."""
 
-from __future__ import annotations
-
 from typing import Any, Literal, get_args
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The input stage: replacement of invalid samples, and the band-pass before the analysis."""
 
-from __future__ import annotations
-
 import numpy as np
 import scipy
 

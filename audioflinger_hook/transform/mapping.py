@@ -11,8 +11,6 @@ r is a peak's amplitude times its half-power bandwidth. A steady tone of amplitu
 with R = 1.30 fs/N (fs: samplerate, N: frames of a window). Its vibration has the same amplitude.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +31,7 @@ class VibrationMapping:
     full_scale_r: float  # R, r of a full-scale tone in Hz
 
     @classmethod
-    def of(cls, parameters: TransformParameters, full_scale_r: float = 1.0) -> VibrationMapping:
+    def of(cls, parameters: TransformParameters, full_scale_r: float = 1.0) -> "VibrationMapping":
         """Return the mapping for given parameters."""
         equal_jnds = parameters.mapping == "jnd"
         return cls(

@@ -1,7 +1,5 @@
 """The transform's parameters and derived quantities. The paper's symbols are in parentheses."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ A is the amplitude and df the half-power bandwidth of a peak; C_th is a threshol
 has A = 1. The window is a periodic Hamming window; zeros are appended before the FFT.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 
@@ -29,7 +27,7 @@ class Spectrum:
     fft_length: int
 
     @classmethod
-    def of(cls, parameters: TransformParameters, samplerate: int) -> Spectrum:
+    def of(cls, parameters: TransformParameters, samplerate: int) -> "Spectrum":
         """Return the `Spectrum` for parameters and a samplerate in Hz."""
         frames = parameters.window_frames(samplerate)
         phase = 2.0 * np.pi * np.arange(frames) / frames
@@ -77,7 +75,7 @@ class Principals:
     def __len__(self) -> int:
         return len(self.row)
 
-    def take(self, chosen: IntArray | slice | NDArray[np.bool_]) -> Principals:
+    def take(self, chosen: IntArray | slice | NDArray[np.bool_]) -> "Principals":
         """Return the chosen entries."""
         return Principals(*(getattr(self, field.name)[chosen] for field in fields(self)))
 

@@ -3,8 +3,6 @@
 A unit (the paper's unit sequence) is an analysis window of N frames. Units do not overlap.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import pairwise

@@ -7,6 +7,7 @@ A table is a list of 32-bit words: its kind, the length of its content in bytes,
 import bisect
 import math
 from collections.abc import Callable, Sequence
+from ctypes import c_int32
 from dataclasses import dataclass
 
 _CONTAINER, _SCALE, _LINEAR, _RANGE, _BOUNDS, _BOUNDS_MUTE = range(6)
@@ -70,7 +71,7 @@ def _level(words: list[int], lowest: int, highest: int, depth: int) -> Level | N
         return _pieces(body, depth)
     if len(body) < 2:
         return None
-    first, second = _signed(body[0]), _signed(body[1])
+    first, second = (c_int32(word).value for word in body[:2])
     if kind == _SCALE:
         return _even(first, body[1] & 0xFFFF, 1, lowest, bool(body[1] & _SILENT_WHEN_LOWEST))
     if kind == _LINEAR:
@@ -84,7 +85,7 @@ def _pieces(body: list[int], depth: int) -> Level | None:
     """Return one level function for consecutive ranges of steps. body: ranges with their tables."""
     found: list[tuple[int, Level]] = []
     while len(body) >= 4:
-        first, last = _signed(body[0]), _signed(body[1])
+        first, last = (c_int32(word).value for word in body[:2])
         # Evaluate a table of a single step as the lower of two steps.
         level = _level(body[2:], first, max(last, first + 1), depth + 1) if first <= last else None
         if level is None:
@@ -124,7 +125,3 @@ def _linear(first: int, last: int, lowest: int, highest: int) -> Level:
         return 20.0 * math.log10(amplitude) if amplitude > 0.0 else -math.inf
 
     return level
-
-
-def _signed(word: int) -> int:
-    return word - (1 << 32) if word >> 31 else word

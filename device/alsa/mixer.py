@@ -8,6 +8,7 @@ import ctypes
 import errno
 import math
 import os
+from contextlib import closing
 from ctypes import c_char, c_int, c_long, c_longlong, c_ubyte, c_uint, c_uint32, c_ulong, c_void_p
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -94,7 +95,7 @@ class MixerControl:
 
 
 class CardMixer:
-    """The volumes and mutes of one card; a context manager. Only one thread at a time may use it.
+    """The volumes and mutes of one card, until `close`. Only one thread at a time may use it.
 
     card: number in ALSA. devices: directory of the device files. volumes, switches: the card's
     volume controls and mute switches. Constructor and methods raise NotFoundError if the card is
@@ -166,12 +167,6 @@ class CardMixer:
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
-
-    def __enter__(self) -> "CardMixer":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _numbers(self) -> list[int]:
         listing = _List()
@@ -252,7 +247,7 @@ def set_card_volume(
     NotFoundError: the card is missing, has no volume, or refuses a request. UsageError: wanted_db
     is NaN, or a volume's levels are unknown or all exceed wanted_db, limit_db or 0 dB.
     """
-    with CardMixer(card) as mixer:
+    with closing(CardMixer(card)) as mixer:
         if not mixer.volumes:
             has = "a mute and no volume" if mixer.switches else "neither volume nor mute"
             raise NotFoundError(f"sound card {card} has {has} that can be set")

@@ -5,7 +5,7 @@ and interfaces without channels or rates, are skipped.
 """
 
 import re
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 
 from device.alsa.cards import AlsaDevice, read_hw_params, read_text
@@ -97,8 +97,13 @@ def parse_usb_stream(text: str, side: str = "Playback:") -> UsbStream:
     """Parse the section `side` of a stream file; without this section there are no formats."""
     blocks: list[dict[str, str]] = []
     now: dict[str, str] = {}
-    for line in _lines_of(text, side):
-        if line.startswith("Interface ") and "=" not in line:
+    inside = False
+    for line in map(str.strip, text.splitlines()):
+        if line in ("Playback:", "Capture:"):
+            inside = line == side
+        elif not inside or not line:
+            continue
+        elif line.startswith("Interface ") and "=" not in line:
             blocks.append({"Interface": line.removeprefix("Interface ")})
         elif blocks and line.startswith("Altset ") and "=" not in line:
             blocks[-1]["Altset"] = line.removeprefix("Altset ")
@@ -118,15 +123,6 @@ def _measured_hz(now: dict[str, str]) -> float | None:
     frames = int(match[2], 16) + int(match[3], 16) / 65_536.0
     found_hz = (frames * per_second for per_second in (1_000.0, 8_000.0))
     return next((hz for hz in found_hz if abs(hz - whole_hz) <= 1.0), whole_hz) or None
-
-
-def _lines_of(text: str, side: str) -> Iterator[str]:
-    inside = False
-    for line in map(str.strip, text.splitlines()):
-        if line in ("Playback:", "Capture:"):
-            inside = line == side
-        elif inside and line:
-            yield line
 
 
 def _format(block: dict[str, str]) -> UsbFormat | None:

@@ -37,6 +37,7 @@ class DelayStatus(NamedTuple):
     within ±2000, or ±3000 while the target moves. resyncs: number of jumps of the delay after a
     large error; jumps to a new offset do not count. underflows: how often a read needed frames that
     were not yet written. overflows: how often frames were overwritten before they were read.
+    offset_s: the user's offset, which target_s contains.
     """
 
     target_s: float
@@ -46,6 +47,7 @@ class DelayStatus(NamedTuple):
     underflows: int = 0
     overflows: int = 0
     state: DelayState = DelayState.EMPTY
+    offset_s: float = 0.0
 
 
 class RateLoop:
@@ -105,7 +107,7 @@ class TargetDelay:
     A new offset acts at once, a new lateness slowly. least_s: length of 1.5 capture blocks and one
     output block. capacity_s: length of the ring buffer; the target is at most 75 % of it. jump_s:
     increases above this value act at once, because frames would run out during a slow increase.
-    current_s: the present target. UsageError: capacity_s is too short.
+    current_s: the present target. offset_s: the offset in it. UsageError: capacity_s is too short.
     """
 
     def __init__(self, least_s: float, capacity_s: float, jump_s: float) -> None:
@@ -117,7 +119,7 @@ class TargetDelay:
             )
         self._least_s, self._most_s, self._jump_s = least_s, 0.75 * capacity_s, jump_s
         self._most_offset_s = 0.75 * (capacity_s - needed_s)
-        self._offset_s = self._stepped_s = 0.0
+        self.offset_s = self._stepped_s = 0.0
         self._known = False
         self.wanted_s = self.current_s = least_s
 
@@ -141,10 +143,10 @@ class TargetDelay:
 
     def set_goal(self, lateness_s: float, offset_s: float) -> bool:
         """Set the final target; return whether the offset changed. A new offset acts at once."""
-        new_offset = offset_s != self._offset_s
+        new_offset = offset_s != self.offset_s
         if new_offset:
-            self.current_s += offset_s - self._offset_s
-            self._offset_s = offset_s
+            self.current_s += offset_s - self.offset_s
+            self.offset_s = offset_s
         self.wanted_s = self._clamp(self._least_s + lateness_s + offset_s)
         self.current_s = self._clamp(self.current_s)
         if self.wanted_s - self.current_s > self._jump_s:

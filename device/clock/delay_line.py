@@ -194,7 +194,7 @@ class DelayLine:
         self.offset_s = offset_s
         self._target.set_goal(2.0 * LEAST_S, offset_s)
         self._target.jump()
-        self.status = DelayStatus(self._target.current_s)
+        self.status = DelayStatus(self._target.current_s, offset_s=offset_s)
 
     @property
     def offset_s(self) -> float:
@@ -256,7 +256,8 @@ class DelayLine:
         self._joint.apply(out[played:])
         ppm = 1e6 * (self._step / self._nominal_step - 1.0)
         counts = self._resyncs, self._underflows, self._overflows
-        self.status = DelayStatus(self._target.current_s, self._delay_s, ppm, *counts, self._state)
+        known = ppm, *counts, self._state, self._target.offset_s
+        self.status = DelayStatus(self._target.current_s, self._delay_s, *known)
         return filled
 
     def _steer(

@@ -238,8 +238,14 @@ def choose_damping(
     """
     references = {d: undamped(p, detuning=d) for d in (0.0, -uncertainty, uncertainty)}
     plain = burst_response(p, Damping(source_impedance_ohm))
+    q = resonance_of(p, source_impedance_ohm).q
+    dampings = [Damping(source_impedance_ohm)] + [
+        inverse_damping(p, wanted_q, source_impedance_ohm, caution=caution, shift=shift)
+        for wanted_q, caution, shift in itertools.product(WANTED_Q, CAUTION, SHIFT)
+        if wanted_q < caution * q
+    ]
     candidates = []
-    for damping in _dampings(p, source_impedance_ohm):
+    for damping in dampings:
         believed = burst_response(p, damping)
         shown = believed.against(references[0.0])
         worst_db = max(
@@ -250,10 +256,9 @@ def choose_damping(
         makeup = plain.rms_m_s2 / believed.rms_m_s2
         candidates.append(Candidate(damping, shown, worst_db, affordable, makeup))
     # affordable candidates by their worst case, then the others by voltage
-    within = sorted((one for one in candidates if one.affordable), key=lambda one: one.worst_db)
-    beyond = [one for one in candidates if not one.affordable]
-    candidates = [*within, *sorted(beyond, key=lambda one: one.as_believed.peak_volts_db)]
-    if within:
+    candidates.sort(key=lambda c: c.worst_db if c.affordable else c.as_believed.peak_volts_db)
+    candidates.sort(key=lambda one: not one.affordable)
+    if candidates[0].affordable:
         others = _other_rigs(p, source_impedance_ohm)
         chosen = next(one for one in candidates if _never_worse(p, one.damping, others))
         candidates.remove(chosen)
@@ -280,12 +285,3 @@ def _never_worse(p: ActuatorParameters, damping: Damping, others: list[_Other]) 
         burst_response(p, damping, detuning=detuning, mass=mass).residual <= _BETTER * without
         for detuning, mass, without in others
     )
-
-
-def _dampings(p: ActuatorParameters, source_impedance_ohm: float) -> list[Damping]:
-    q = resonance_of(p, source_impedance_ohm).q
-    return [Damping(source_impedance_ohm)] + [
-        inverse_damping(p, wanted_q, source_impedance_ohm, caution=caution, shift=shift)
-        for wanted_q, caution, shift in itertools.product(WANTED_Q, CAUTION, SHIFT)
-        if wanted_q < caution * q
-    ]

@@ -57,11 +57,6 @@ class DriveDesign:
         return latency_frames(self.samplerate)
 
     @property
-    def knows_seat(self) -> bool:
-        """Whether the rig describes its seat; else exposure is that of the moving mass."""
-        return self.rig.seat is not None
-
-    @property
     def makeup_db(self) -> float:
         """Gain in dB that restores the level at the resonance after damping; 0 without damping."""
         return amplitude_to_db(self.damping.gain) if self.damping else 0.0
@@ -93,7 +88,7 @@ def drive_design(
     rig: a name or a file. UsageError: the rig is missing or invalid, or the rate is too low.
     """
     plan = DrivePlan.of(rig, samplerate, damping, protection, exposure_cap)
-    return plan and plan.design()
+    return plan and design_of(plan)
 
 
 class DrivePlan(NamedTuple):
@@ -113,21 +108,18 @@ class DrivePlan(NamedTuple):
             return None
         return cls(rig_by_name(rig), samplerate, damping != "off", exposure_cap)
 
-    def design(self) -> DriveDesign:
-        """Return the design; slow for a new plan. UsageError: the sample rate is too low."""
-        return _designed(self)
-
 
 @lru_cache(maxsize=16)
-def _designed(plan: DrivePlan) -> DriveDesign:
+def design_of(plan: DrivePlan) -> DriveDesign:
+    """Return the design; slow for a new plan. UsageError: the sample rate is too low."""
     source = plan.rig.amplifier.source_impedance_ohm
     damping = damping_for(plan.rig.actuator, source) if plan.is_damped else None
     return DriveDesign(plan.rig, plan.samplerate, damping, plan.exposure_cap)
 
 
 def designs_of(plans: Sequence[DrivePlan]) -> list[DriveDesign]:
-    """Return the design of each plan. UsageError: see `DrivePlan.design`."""
-    return [plan.design() for plan in plans]
+    """Return the design of each plan. UsageError: see `design_of`."""
+    return list(map(design_of, plans))
 
 
 @lru_cache(maxsize=8)

@@ -112,7 +112,6 @@ class Exposure:
         return self.a8_m_s2 >= LIMIT_A8_M_S2 or self.vdv >= LIMIT_VDV
 
     def __str__(self) -> str:
-        """Return one line for display."""
         return (
             f"A(8) {self.a8_m_s2:.3g} m/s² (action {ACTION_A8_M_S2:g}, limit {LIMIT_A8_M_S2:g}), "
             f"VDV {self.vdv:.3g} m/s^1.75 (action {ACTION_VDV:g}, limit {LIMIT_VDV:g}); "

@@ -9,6 +9,7 @@ from device.rig import Rig
 from device.rig.thermal import Temperatures
 
 NO_DOSE = DoseSums()
+LONGEST_REST_S = 10 * 365 * 86_400.0  # a longer time is an error of a clock
 _STEP_S = 0.01  # time step, much shorter than `APPROACH_S`
 
 

@@ -15,9 +15,8 @@ PROTECTION = ("off", "on")
 EXPOSURE_CAP = ("off", "action", "limit")
 
 GAIN_MIN_DB, GAIN_MAX_DB = -60.0, 0.0  # above 0 dB full-scale vibration would clip
-DELAY_MAX_MS = (
-    500.0  # longest delay, which determines the allocated memory; sound travels 170 m in 500 ms
-)
+# longest delay, which determines the allocated memory; sound travels 170 m in 500 ms
+DELAY_MAX_MS = 500.0
 ACTUATORS_MAX = CHANNELS_MAX  # largest number of actuators: one for each channel
 LIKE_ALL = "; default: the top-level value"
 
@@ -79,8 +78,7 @@ class ActuatorSettings(Described):
         ),
     ] = SOURCES[0]
     rig: Annotated[
-        str | None,
-        Text(f"rig of this actuator: a name or a file{LIKE_ALL}", change="engine"),
+        str | None, Text(f"rig of this actuator: a name or a file{LIKE_ALL}", change="engine")
     ] = None
     gain_db: Annotated[float, Number("level", GAIN_MIN_DB, GAIN_MAX_DB, "dB")] = GAIN_MAX_DB
     polarity: Annotated[str, Choice("sign of its vibration", POLARITIES)] = POLARITIES[0]

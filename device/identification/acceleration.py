@@ -16,7 +16,6 @@ from device.identification.output_error import (
     check_fit,
     fit,
     fit_with_extras,
-    relative_width,
     require,
 )
 from device.identification.recording import ComplexArray, IdentificationError, Recording
@@ -124,8 +123,7 @@ def _fit_mode(
 def _is_identified(found: Fit) -> bool:
     """Return whether the intervals of sensitivity, f0 and Q are narrow enough."""
     widest = (WIDEST_SENSITIVITY, WIDEST_F0, WIDEST_Q)
-    widths = (relative_width(found.estimate({index: 1.0})) for index in range(3))
-    return all(width <= most for width, most in zip(widths, widest, strict=True))
+    return all(found.estimate({i: 1.0}).relative <= most for i, most in enumerate(widest))
 
 
 def _eddy() -> Extra:

@@ -6,6 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
+from device.identification import transfer
 from device.identification.acceleration import Mode, identify_mode
 from device.identification.impedance import Drive, Impedance, identify_drive, identify_impedance
 from device.identification.mechanics import (
@@ -18,12 +19,6 @@ from device.identification.mechanics import (
 from device.identification.output_error import Estimate
 from device.identification.recording import PLAYED, IdentificationError, Recording, Sweep
 from device.identification.simulated_laboratory import LARGEST_SHARE
-from device.identification.transfer import (
-    Quality,
-    assess_quality,
-    check_recording,
-    estimate_transfer,
-)
 from device.rig.parameters import DriveMode
 from device.rig.rig import MIN_CURRENT_DRIVE_RATIO, Rig, Source
 
@@ -37,7 +32,6 @@ class Laboratory(Protocol):
 
     def measure(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
         """Play once; return one recording for each pair (reference, response)."""
-        ...
 
 
 def play_steps(
@@ -60,12 +54,19 @@ def play_steps(
         on_level(louder.level)
         before, recordings = recordings, laboratory.measure(louder, pairs)
         for recording in recordings:
-            check_recording(recording)
+            transfer.check_recording(recording)
         for quiet, loud in zip(before, recordings, strict=False):
-            _compare(quiet, loud)
+            ratio = loud.sweep.level / quiet.sweep.level
+            grown = float(np.std(loud.response) / np.std(quiet.response))
+            if not ratio / _UNEXPECTED <= grown <= ratio * _UNEXPECTED:
+                raise IdentificationError(
+                    f"{loud.names[1]} grew by {grown:.3g}, but the level by {ratio:.3g}: something "
+                    "rattles or limits, or the rig's file describes another rig; find the reason, "
+                    f"or stay below level {quiet.sweep.level:.3g}"
+                )
         for recording in recordings:
             if scaled and recording.names[1] == "acceleration":
-                moved_m = recording.excursion_m(estimate_transfer(recording).response)
+                moved_m = recording.excursion_m(transfer.estimate_transfer(recording).response)
                 share = after / step * moved_m / rig.actuator.x_max_m
                 if share > TOO_FAR:
                     raise IdentificationError(
@@ -73,17 +74,6 @@ def play_steps(
                         f"allowed: rig {rig.name!r} moves more than it says; lower the level"
                     )
     return recordings
-
-
-def _compare(quiet: Recording, loud: Recording) -> None:
-    ratio = loud.sweep.level / quiet.sweep.level
-    grown = float(np.std(loud.response) / np.std(quiet.response))
-    if not ratio / _UNEXPECTED <= grown <= ratio * _UNEXPECTED:
-        raise IdentificationError(
-            f"{loud.names[1]} grew by {grown:.3g}, but the level by {ratio:.3g}: something rattles "
-            "or limits, or the rig's file describes another rig; find the reason, or stay below "
-            f"level {quiet.sweep.level:.3g}"
-        )
 
 
 ALL_PAIRS = (
@@ -110,7 +100,7 @@ class Calibration:
     level_of_x_max: float | None = None  # largest excursion relative to Xmax; None if unknown
     matched: bool = False  # f0 and Qms rely on the rig's assumed coil, so they are not in `values`
     why_not: str = ""  # why there is no rig
-    qualities: tuple[Quality, ...] = ()  # of every recording
+    qualities: tuple[transfer.Quality, ...] = ()  # of every recording
     drive: Drive | None = None  # from samples to volts at the coil
 
     @property
@@ -151,7 +141,7 @@ def calibrate(
     if recording := there.get((PLAYED, "voltage")):
         drive = identify_drive(recording, rig, impedance)
     found = Calibration(None, {}, mode, driven, impedance, sweep, level, drive=drive)
-    found = replace(found, qualities=tuple(map(assess_quality, recordings)))
+    found = replace(found, qualities=tuple(map(transfer.assess_quality, recordings)))
     if impedance is None and mode is None:
         found = _add_by_coil(found, rig, there)
     else:
@@ -176,7 +166,9 @@ def _add_direct(
     if mode is not None:
         values |= {"actuator.resonance_hz": mode.f0_hz, "actuator.q_mechanical": mode.q}
     if impedance is not None:
-        rig = _without_eddy(rig)
+        plain = replace(rig.actuator, inductance_eddy_h=0.0, resistance_eddy_ohm=0.0)
+        sources = tuple(s for s in rig.sources if not s.parameter.endswith(("eddy_h", "eddy_ohm")))
+        rig = replace(rig, actuator=plain, sources=sources)
         if weighed is not None and not found.on_seat:
             values |= by_known_mass(impedance, weighed)
         elif mode is not None and scaled and not found.on_seat:
@@ -204,12 +196,6 @@ def _add_by_coil(
     words = f"with the assumed {', '.join(assumed)} it gives the mode that was identified, {shown}"
     rig = add_values(rig, values, f"{words}: {_describe(found)}", assumed=True)
     return replace(found, rig=rig, matched=True)
-
-
-def _without_eddy(rig: Rig) -> Rig:
-    plain = replace(rig.actuator, inductance_eddy_h=0.0, resistance_eddy_ohm=0.0)
-    sources = tuple(s for s in rig.sources if not s.parameter.endswith(("eddy_h", "eddy_ohm")))
-    return replace(rig, actuator=plain, sources=sources)
 
 
 def _add_drive(found: Calibration) -> Calibration:

@@ -10,19 +10,9 @@ from functools import partial
 
 import numpy as np
 
-from device.identification import responses
-from device.identification.acceleration import (
-    F0_BY_LEVEL,
-    HARDENING,
-    Q_BY_LEVEL,
-    Mode,
-    corner_of,
-    excursion_square,
-    find_delay_s,
-    high_pass_extra,
-    seat_extra,
-)
+from device.identification import acceleration, responses
 from device.identification.output_error import (
+    NOTHING,
     Estimate,
     Extra,
     Fit,
@@ -52,13 +42,12 @@ _ADVICE = (
 
 @dataclass(frozen=True)
 class Impedance:
-    """The actuator's electrical parameters; on a seat, f0 and Bl^2 / m include the seat."""
+    """The actuator's electrical parameters; on a seat, f0 includes the seat."""
 
     resistance_ohm: Estimate
     f0_hz: Estimate  # with the coil open
     q_mechanical: Estimate
     q_electrical: Estimate  # of the coil itself, without a source impedance
-    motional_ohm_rad_s: Estimate  # Bl^2 / m
     on_seat: bool  # as in `Mode`
     law: CoilLaw
     fit: Fit
@@ -91,7 +80,7 @@ MOTIONAL = {3: 1.0, 1: 1.0, 2: -1.0}
 
 
 def identify_impedance(
-    recording: Recording, *, level_of_x_max: float = 0.0, mode: Mode | None = None
+    recording: Recording, *, level_of_x_max: float = 0.0, mode: acceleration.Mode | None = None
 ) -> Impedance:
     """Return the electrical parameters. recording: the coil's voltage (reference) and current.
 
@@ -122,12 +111,11 @@ def identify_impedance(
     values = {name: found.estimate(power) for name, power in powers.items()}
     for name, value in values.items():
         require(name, value, WIDEST[name], _ADVICE)
-    square = excursion_square(level_of_x_max, on_seat)
-    values["f0_hz"] = values["f0_hz"].extend_down(F0_BY_LEVEL * square)
+    square = acceleration.excursion_square(level_of_x_max, on_seat)
+    values["f0_hz"] = values["f0_hz"].extend_down(acceleration.F0_BY_LEVEL * square)
     for name in ("q_mechanical", "q_electrical"):
-        values[name] = values[name].extend_down(Q_BY_LEVEL * square)
-    motional = found.estimate(MOTIONAL, math.tau)
-    return Impedance(**values, motional_ohm_rad_s=motional, on_seat=on_seat, law=law, fit=found)
+        values[name] = values[name].extend_down(acceleration.Q_BY_LEVEL * square)
+    return Impedance(**values, on_seat=on_seat, law=law, fit=found)
 
 
 # Relative standard deviations of f0 and Qms from the values in `mode`, apart from noise.
@@ -136,11 +124,11 @@ _LEAST_EDDY = 3e-4  # a law other than PLAIN must change the admittance by this 
 
 
 def _choose(
-    recording: Recording, mode: Mode | None, level_of_x_max: float
+    recording: Recording, mode: acceleration.Mode | None, level_of_x_max: float
 ) -> tuple[Fit, CoilLaw, bool]:
     """Return the best fit, its law, and whether it includes a seat."""
     tried: list[tuple[bool, float, Fit, CoilLaw, bool]] = []
-    known, near = None, None
+    known, near = NOTHING, None
     if mode:
         near = mode.fit.logs[1:3]
         noise = np.diag(mode.fit.covariance)[1:3]
@@ -157,7 +145,8 @@ def _choose(
         near = found.logs[1:3] if near is None and found.converged else near
         price = penalty(law.parameters, found.bins)
         tried.append((not found.converged, found.cost + price, found, law, False))
-        if (not mode or mode.on_seat) and (seat := seat_extra(found.logs[1], level_known=False)):
+        seat = acceleration.seat_extra(found.logs[1], level_known=False)
+        if seat and (not mode or mode.on_seat):
             starts = [np.concatenate([found.logs, start]) for start in seat.starts]
             ends = np.concatenate([low, seat.lowest]), np.concatenate([high, seat.highest])
             found = fit(recording, model, starts, ends, known)
@@ -166,7 +155,7 @@ def _choose(
     best = min(tried, key=lambda one: one[:2])
     plain = min((one for one in tried if one[3] is responses.PLAIN), key=lambda one: one[:2])
     f = recording.frequencies_hz[recording.band]
-    least = _LEAST_EDDY + HARDENING * level_of_x_max**2
+    least = _LEAST_EDDY + acceleration.HARDENING * level_of_x_max**2
     if not plain[0]:  # without noise, any difference between two laws would count as evidence
         shown, simple = (responses.admittance(f, one[2].logs, one[3])[0] for one in (best, plain))
         best = plain if np.abs(simple / shown - 1.0).max() < least else best
@@ -221,7 +210,7 @@ def identify_drive(recording: Recording, rig: Rig, impedance: Impedance | None) 
     """
     f = recording.frequencies_hz[recording.band][recording.usable]
     factors = [responses.GAIN, *([responses.DELAY] if recording.delayed else [])]
-    extras = [high_pass_extra(recording)]
+    extras = [acceleration.high_pass_extra(recording)]
     if impedance:
         r = impedance.resistance_ohm.value
         starts = tuple(np.log([share * r]) for share in (0.03, 0.3, 3.0, 30.0))
@@ -241,7 +230,7 @@ def identify_drive(recording: Recording, rig: Rig, impedance: Impedance | None) 
     if source is None:
         volts = volts.scaled(1.0 + rig.amplifier.source_impedance_ohm / rig.actuator.resistance_ohm)
     require("volts per full scale", volts, WIDEST_VOLTS, "raise the level a little")
-    corner = corner_of(found, chosen, len(factors), recording.high_pass_hz or 0.0)
+    corner = acceleration.corner_of(found, chosen, len(factors), recording.high_pass_hz or 0.0)
     return Drive(volts, corner, source)
 
 
@@ -251,6 +240,7 @@ def _drive_start(recording: Recording) -> FloatArray:
     played, measured = recording.reference_spectrum[band], recording.response_spectrum[band]
     start = [math.log(float(np.linalg.norm(measured) / np.linalg.norm(played)))]
     if recording.delayed:
-        delay_s = find_delay_s(recording.frequencies_hz[band], played.conj() * measured)
+        f = recording.frequencies_hz[band]
+        delay_s = acceleration.find_delay_s(f, played.conj() * measured)
         start.append(delay_s / responses.DELAY_S)
     return np.array(start)

@@ -7,19 +7,10 @@ the impedance of the coil at rest. An impedance measurement gives only Bl^2 / m 
 import json
 import math
 from dataclasses import fields, replace
-from pathlib import Path
 
 import numpy as np
 
-from device.atomic_file import write_bytes_atomically
-from device.identification.acceleration import (
-    F0_BY_LEVEL,
-    Q_BY_LEVEL,
-    WIDEST_F0,
-    WIDEST_Q,
-    Mode,
-    excursion_square,
-)
+from device.identification import acceleration
 from device.identification.impedance import MOTIONAL, Impedance
 from device.identification.output_error import Estimate, multiply_powers, require
 from device.identification.recording import IdentificationError
@@ -66,42 +57,33 @@ def format_rig(rig: Rig) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write_rig(rig: Rig, path: str | Path) -> None:
-    """Write the rig's file atomically; errors as in `write_bytes_atomically`."""
-    write_bytes_atomically(path, format_rig(rig).encode())
-
-
 def _toml(value: object) -> str:
     if isinstance(value, str):
         return json.dumps(value)
     return repr(float(value)) if isinstance(value, float) else str(value)
 
 
-_STEP = 1e-5
-
-
-def solve_mechanics(mode: Mode, rig: Rig) -> Values:
+def solve_mechanics(mode: acceleration.Mode, rig: Rig) -> Values:
     """Return f0 and Qms for an open coil, from a `Mode` of acceleration per coil voltage.
 
     The intervals assume that the other parameters of the rig are exact.
     """
     centre = mode.fit.logs[1:3]
     logs = _solve_logs(centre, rig)
-    shifts = _STEP * np.eye(2)
-    rises = [
-        _solve_logs(centre + shift, rig) - _solve_logs(centre - shift, rig) for shift in shifts
-    ]
-    slopes = np.column_stack(rises) / (2.0 * _STEP)
+    step = 1e-5
+    shifts = step * np.eye(2)
+    rises = [_solve_logs(centre + s, rig) - _solve_logs(centre - s, rig) for s in shifts]
+    slopes = np.column_stack(rises) / (2.0 * step)
     covariance = slopes @ mode.fit.covariance[1:3, 1:3] @ slopes.T
     reach = np.minimum(1.96 * np.sqrt(np.diag(covariance)), 50.0)
     f0, q = (Estimate(*one) for one in np.exp([logs, logs - reach, logs + reach]).T.tolist())
-    share = excursion_square(mode.level_of_x_max, mode.on_seat)
-    require("f0_hz", f0, WIDEST_F0, "measure the current as well")
-    require("q_mechanical", q, 2.0 * WIDEST_Q, "measure the current as well")
+    share = acceleration.excursion_square(mode.level_of_x_max, mode.on_seat)
+    require("f0_hz", f0, acceleration.WIDEST_F0, "measure the current as well")
+    require("q_mechanical", q, 2.0 * acceleration.WIDEST_Q, "measure the current as well")
     # Qms excludes the electrical damping, so the relative effect of the level is larger.
-    extent = Q_BY_LEVEL * share * max(1.0, float(np.abs(slopes[1]).max()))
+    extent = acceleration.Q_BY_LEVEL * share * max(1.0, float(np.abs(slopes[1]).max()))
     return {
-        "actuator.resonance_hz": f0.extend_down(F0_BY_LEVEL * share),
+        "actuator.resonance_hz": f0.extend_down(acceleration.F0_BY_LEVEL * share),
         "actuator.q_mechanical": q.extend_down(extent),
     }
 
@@ -142,7 +124,7 @@ def by_known_mass(impedance: Impedance, mass: Estimate) -> Values:
     return _checked(Estimate(alone.value, low, high), mass, "weigh the mass again")
 
 
-def by_acceleration(impedance: Impedance, mode: Mode) -> Values:
+def by_acceleration(impedance: Impedance, mode: acceleration.Mode) -> Values:
     """Return Bl and m from the impedance (Bl^2 / m) and acceleration per current (Bl / m).
 
     Both must be measured on solid ground, because a moving frame would change only the impedance.

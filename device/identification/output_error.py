@@ -7,7 +7,7 @@ silence, so its frequency bins are treated as independent.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -100,9 +100,9 @@ def multiply_powers(parts: Sequence[tuple[Fit, dict[int, float]]], factor: float
 class Known:
     """Parameters of a model, from index `first` on, known from another measurement."""
 
-    first: int
-    logs: FloatArray
-    deviation: FloatArray  # standard deviation of each parameter
+    first: int = 0
+    logs: FloatArray = field(default_factory=lambda: np.zeros(0))
+    deviation: FloatArray = field(default_factory=lambda: np.zeros(0))  # of each parameter
 
     def misses(self, p: FloatArray) -> FloatArray:
         """Return the deviations of p from the known values, in standard deviations."""
@@ -110,8 +110,10 @@ class Known:
 
     def slopes(self, parameters: int) -> FloatArray:
         """Return the derivatives of `misses`."""
-        after = parameters - self.first - len(self.logs)
-        return np.pad(np.diag(1.0 / self.deviation), ((0, 0), (self.first, after)))
+        return np.eye(len(self.logs), parameters, self.first) / self.deviation[:, None]
+
+
+NOTHING = Known()
 
 
 def fit(
@@ -119,7 +121,7 @@ def fit(
     model: Model,
     starts: Sequence[FloatArray],
     limits: tuple[FloatArray, FloatArray] | None = None,
-    known: Known | None = None,
+    known: Known = NOTHING,
 ) -> Fit:
     """Fit the parameters of a model to a recording that `check_recording` has accepted.
 
@@ -139,16 +141,14 @@ def fit(
     # The real and the imaginary part of a residual each have half of its variance.
     def stacked(p: FloatArray) -> FloatArray:
         e = left(p)
-        more = [known.misses(p) / math.sqrt(2.0)] if known else []
-        return np.concatenate([e.real, e.imag, *more])
+        return np.concatenate([e.real, e.imag, known.misses(p) / math.sqrt(2.0)])
 
     def measured_slopes(p: FloatArray) -> FloatArray:
         slopes = -model(f, p)[1] * (drive / deviation)[:, None]
         return np.concatenate([slopes.real, slopes.imag])
 
     def jacobian(p: FloatArray) -> FloatArray:
-        more = [known.slopes(len(p)) / math.sqrt(2.0)] if known else []
-        return np.concatenate([measured_slopes(p), *more])
+        return np.concatenate([measured_slopes(p), known.slopes(len(p)) / math.sqrt(2.0)])
 
     def solved(start: FloatArray, tolerance: float) -> tuple[float, FloatArray, bool]:
         inside = np.clip(start, low + 1e-6, high - 1e-6)
@@ -173,8 +173,7 @@ def fit(
     free = np.flatnonzero(np.minimum(logs - low, high - logs) > 1e-3)
     covariance = np.zeros((len(logs), len(logs)))
     information = slopes.T @ slopes / variance
-    if known:
-        information += known.slopes(len(logs)).T @ known.slopes(len(logs))
+    information += known.slopes(len(logs)).T @ known.slopes(len(logs))
     covariance[np.ix_(free, free)] = np.linalg.pinv(
         information[np.ix_(free, free)], rcond=1e-14, hermitian=True
     )
@@ -182,8 +181,7 @@ def fit(
     whole = float(np.sum(np.abs(measured) ** 2))
     misfit = math.sqrt(held * float(np.sum(np.abs(e * deviation) ** 2)) / whole)
     likelihood = float(np.sum(np.log(deviation**2))) + float(np.sum(np.abs(e) ** 2))
-    if known:
-        likelihood += 0.5 * float(np.sum(known.misses(logs) ** 2))
+    likelihood += 0.5 * float(np.sum(known.misses(logs) ** 2))
     return Fit(logs, covariance, misfit, likelihood, len(f), converged)
 
 
@@ -271,14 +269,9 @@ def fit_with_extras(
     return found, chosen, found.cost + paid
 
 
-def relative_width(estimate: Estimate) -> float:
-    """Return half of an estimate's interval over its value; infinite if it has no upper end."""
-    return estimate.relative if math.isfinite(estimate.high) else math.inf
-
-
 def require(name: str, estimate: Estimate, relative: float, advice: str) -> None:
     """Raise IdentificationError if an estimate's interval is wider than ±`relative`."""
-    width = relative_width(estimate)
+    width = estimate.relative
     if not width <= relative:
         raise IdentificationError(
             f"{name} is not identified: its interval of 95 % is ±{100 * width:.3g} %, at most "

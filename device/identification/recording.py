@@ -101,9 +101,8 @@ class Excitation:
     def __init__(self, sweep: Sweep) -> None:
         self.sweep, rate = sweep, sweep.samplerate
         self.mark_frames = round(MARK_S * rate)
-        self.sweep_start = self.mark_frames + round(
-            GAP_S * rate
-        )  # start of the sweep's first silence
+        # start of the sweep's first silence
+        self.sweep_start = self.mark_frames + round(GAP_S * rate)
         self.second_mark = self.sweep_start + sweep.frames
         self.frames = self.second_mark + self.mark_frames + round(REST_S * rate)
         wave = sweep.wave(self.mark_frames, MARK_S)

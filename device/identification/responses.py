@@ -26,9 +26,7 @@ from device.units import FloatArray
 # H, (bins,), and its derivatives by the parameters, (bins, parameters)
 Response = tuple[ComplexArray, ComplexArray]
 REFERENCE_HZ = 100.0  # the parameter for K is the reactance K w^n here, as K's unit depends on n
-Impedance = tuple[
-    ComplexArray, list[ComplexArray]
-]  # impedance, (bins,), and its derivative by each parameter
+Impedance = tuple[ComplexArray, list[ComplexArray]]  # (bins,); its derivative by each parameter
 
 
 def pair(f: FloatArray, log_hz: float, log_q: float) -> Response:
@@ -104,9 +102,7 @@ MODE = Factor(3, _mode)
 GAIN = Factor(1, _gain)  # log of a gain
 LAG = Factor(1, _lag)  # the coil's lag 1 / (1 + s T) under voltage drive: log of T
 DELAY = Factor(1, _delay)  # a delay in ms, which is not a logarithm
-EDDY = Factor(
-    2, _eddy
-)  # effect of eddy currents on LAG: (1 + s T1) / (1 + s T2), logs of T1 and T2
+EDDY = Factor(2, _eddy)  # of eddy currents, on LAG: (1 + s T1) / (1 + s T2), logs of T1 and T2
 SEAT = Factor(4, _seat)  # a moving frame: logs of f and Q of two zeros, then of two poles
 
 

@@ -23,7 +23,7 @@ from device.errors import UsageError
 from device.rig.actuator import QUANTITIES, SEAT_ACCELERATION, Motion, first_order_hold
 from device.rig.co_energy import energies, table_of
 from device.rig.equations import Equations
-from device.rig.parameters import MODELS, Model, check_tolerance
+from device.rig.parameters import MODELS, Model
 from device.rig.rig import Rig
 from device.units import FloatArray, finite_or_zero
 
@@ -74,7 +74,11 @@ class AdaptiveActuator:
         seat: bool = False,
         refine: int = 0,
     ) -> None:
-        check_tolerance(tolerance)
+        if not 0.0 < tolerance <= 1.0:
+            raise UsageError(
+                f"tolerance={tolerance!r} must be above 0 and at most 1; 0.01 allows 1 % of the "
+                "peak"
+            )
         if not (np.isfinite(samplerate) and samplerate > 0):
             raise UsageError(f"samplerate={samplerate!r} Hz must be above 0; choose another rate")
         if seat and rig.seat is None:

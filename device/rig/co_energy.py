@@ -110,24 +110,19 @@ class Energies:
     stop_loss_s_per_m: float  # relative rise of a stop's force per m/s (Hunt-Crossley 1975)
 
 
-def linear_energies(p: ActuatorParameters) -> Energies:
-    """Return the energies of the linear actuator: Phi = Bl x, constant L, V = k x^2 / 2."""
-    constant, spring = Tanh(p.inductance_h, 0.0, p.x_max_m), Hardening(p.stiffness_n_per_m, 0.0)
-    return Energies(Line(p.force_factor_n_per_a), constant, spring, Stops(math.inf, 0.0), 0.0)
-
-
 def energies(p: ActuatorParameters, large: LargeSignalParameters | None) -> Energies:
-    """Return the energies of an actuator with large-signal behaviour; linear if `large` is None.
+    """Return the energies of an actuator; without `large`: Phi = Bl x, constant L, V = k x^2 / 2.
 
     Bl is proportional to 1 / (1 + (x / reach)^2), k to 1 + stiffness_rise (x / Xmax)^2.
     """
-    if large is None:
-        return linear_energies(p)
-    loss = large.force_factor_loss
     magnet: Shape = Line(p.force_factor_n_per_a)
+    k = p.stiffness_n_per_m
+    if large is None:
+        constant, spring = Tanh(p.inductance_h, 0.0, p.x_max_m), Hardening(k, 0.0)
+        return Energies(magnet, constant, spring, Stops(math.inf, 0.0), 0.0)
+    loss = large.force_factor_loss
     if loss > 0.0:
         magnet = Arctangent(p.force_factor_n_per_a, p.x_max_m * math.sqrt((1.0 - loss) / loss))
-    k = p.stiffness_n_per_m
     inductance = Tanh(p.inductance_h, large.inductance_change, p.x_max_m)
     spring = Hardening(k, k * large.stiffness_rise / p.x_max_m**2)
     stops = Stops(large.stop_m, large.stop_n_per_m2)

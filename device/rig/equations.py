@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from device.rig.actuator import first_order_hold
-from device.rig.co_energy import Energies, linear_energies
+from device.rig.co_energy import Energies, energies
 from device.rig.parameters import ActuatorParameters, SeatParameters
 from device.units import FloatArray
 
@@ -75,7 +75,7 @@ def seat_sections(
     p: ActuatorParameters, seat: SeatParameters, samplerate: float, source_impedance_ohm: float
 ) -> FloatArray:
     """Return sections, (3, 6), from volts that are linear between samples to the seat's m/s^2."""
-    equations = Equations(p, linear_energies(p), source_impedance_ohm, seat)
+    equations = Equations(p, energies(p, None), source_impedance_ohm, seat)
     # Squared coordinates are energies, so that entries have similar magnitudes.
     scale = equations.scale
     rate, drive = scale[:, None] * equations.rate / scale, np.zeros(len(scale))

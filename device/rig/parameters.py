@@ -52,14 +52,6 @@ MODELS: tuple[Model, ...] = get_args(Model)
 LEAST_TOLERANCE = 1e-5  # smallest error, relative to the peak, that a user may request
 
 
-def check_tolerance(tolerance: float) -> None:
-    """Raise UsageError unless the tolerance is above 0 and at most 1."""
-    if not 0.0 < tolerance <= 1.0:
-        raise UsageError(
-            f"tolerance={tolerance!r} must be above 0 and at most 1; 0.01 allows 1 % of the peak"
-        )
-
-
 class Stage:
     """Base class of all stages. Each field is annotated with its `Limit`."""
 

@@ -20,18 +20,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from device.errors import UsageError
-from device.rig.parameters import (
-    AccelerometerParameters,
-    ActuatorParameters,
-    AmplifierParameters,
-    ConditioningParameters,
-    DacParameters,
-    DaqParameters,
-    LargeSignalParameters,
-    SeatParameters,
-    Stage,
-    ThermalParameters,
-)
+from device.rig import parameters
+from device.rig.parameters import Stage
 
 SourceKind = Literal["given", "assumed", "measured", "identified"]
 SOURCE_KINDS: tuple[SourceKind, ...] = get_args(SourceKind)
@@ -59,15 +49,15 @@ class Rig:
     """
 
     name: str
-    dac: DacParameters
-    amplifier: AmplifierParameters
-    actuator: ActuatorParameters
-    large_signal: LargeSignalParameters | None = None
-    thermal: ThermalParameters | None = None
-    seat: SeatParameters | None = None
-    accelerometer: AccelerometerParameters | None = None
-    conditioning: ConditioningParameters | None = None
-    daq: DaqParameters | None = None
+    dac: parameters.DacParameters
+    amplifier: parameters.AmplifierParameters
+    actuator: parameters.ActuatorParameters
+    large_signal: parameters.LargeSignalParameters | None = None
+    thermal: parameters.ThermalParameters | None = None
+    seat: parameters.SeatParameters | None = None
+    accelerometer: parameters.AccelerometerParameters | None = None
+    conditioning: parameters.ConditioningParameters | None = None
+    daq: parameters.DaqParameters | None = None
     sources: tuple[Source, ...] = field(default=(), repr=False, compare=False)
 
     def __post_init__(self) -> None:

@@ -11,6 +11,7 @@
 | `forwarding` | the virtual sink and its loopback, as the server reports them |
 | `moved_streams` | the default sink and the streams that drop-in mode moves |
 | `app_rules` | `AppRules`: which applications are captured before the server mixes them |
+| `left_out` | `LeftOut`: calls, alerts and other streams that cause no vibration |
 | `app_captures` | `AppCaptures`: the connection that opens one capture for each application |
 | `app_capture` | `AppCapture`: delivers the frames of one application |
 | `connection_thread` | the thread that owns a connection and serves requests |

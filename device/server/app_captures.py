@@ -133,9 +133,7 @@ class AppCaptures(ConnectionThread):
         for handle in tuple(self._dropped):
             if self._library.stream_get_state(handle) >= libpulse.STREAM_READY:
                 self._dropped.remove(handle)
-                self._library.stream_disconnect(
-                    handle
-                )  # no effect if the server has ended the stream
+                self._library.stream_disconnect(handle)  # no effect on a stream that has ended
                 self._library.stream_unref(handle)
 
     def _wake_up(self) -> None:

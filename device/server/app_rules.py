@@ -8,8 +8,10 @@
 Case is ignored. NAME must match a whole name, id or role; `*`, `?` and `[...]` match as in a shell.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from typing import Any
 
 from device.errors import UsageError
 from device.server.identity import is_ours
@@ -42,6 +44,15 @@ class Rule:
 
     def matches(self, stream: Stream) -> bool:
         """Whether the rule matches this stream; an unknown property matches no rule."""
+        known = self._names(stream)
+        return self.name in known or any(fnmatchcase(name, self.name) for name in known)
+
+    def distance(self, stream: Stream) -> int:
+        """Return 0 for the application's name, 1 for another name of it, 2 for a pattern."""
+        own, name = app_name(stream).strip().casefold(), self.name.replace("[[]", "[")
+        return 0 if name == own else 1 if name in self._names(stream) else 2
+
+    def _names(self, stream: Stream) -> list[str]:
         names = (stream.application, stream.properties.get("application.id", ""))
         values = {
             "role": (stream.role,),
@@ -49,25 +60,38 @@ class Rule:
             "application": names,
             "": (stream.binary, *names),
         }
-        known = [value.casefold() for value in values[self.kind] if value]
-        return any(value == self.name or fnmatchcase(value, self.name) for value in known)
+        return [value.strip().casefold() for value in values[self.kind] if value]
+
+
+def first_match(rules: Iterable[tuple[Rule, Any]], stream: Stream) -> Any:
+    """Return what the first matching rule has; rules with an exact name come first."""
+    found = [one for one in rules if one[0].matches(stream)]
+    return min(found, key=lambda one: one[0].distance(stream))[1] if found else None
+
+
+Names = tuple[str, ...]
+Feels = tuple[tuple[Rule, bool], ...]
 
 
 class AppRules:
     """Selects the applications to capture. Immutable: any thread may use it.
 
     include: a stream must match at least one of these rules; () selects all applications. exclude:
-    a stream must match none of these rules. UsageError: see `Rule.parse`.
+    a stream must match none of these rules. feels: rules above both, each with whether it selects.
+    UsageError: see `Rule.parse`.
     """
 
-    def __init__(self, include: tuple[str, ...] = (), exclude: tuple[str, ...] = ()) -> None:
+    def __init__(self, include: Names = (), exclude: Names = (), feels: Feels = ()) -> None:
+        self.feels = feels
         self.include = tuple(map(Rule.parse, include))
         self.exclude = tuple(map(Rule.parse, exclude))
 
     def take(self, stream: Stream) -> bool:
         """Whether the rules select a stream, whatever made it and wherever it plays."""
         included = not self.include or any(rule.matches(stream) for rule in self.include)
-        return included and not any(rule.matches(stream) for rule in self.exclude)
+        selected = included and not any(rule.matches(stream) for rule in self.exclude)
+        feel: bool | None = first_match(self.feels, stream)
+        return selected if feel is None else feel
 
     def select(
         self, snapshot: ServerSnapshot, haptic_sink: str | None = None

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
-from device.errors import CushionError, InternalError, LostError
+from device.errors import CushionError, InternalError, LostError, NoAnswerError
 
 ANSWER_LIMIT_S = 2.0  # longest time for one answer; a slower server counts as lost
 
@@ -123,8 +123,8 @@ class ConnectionThread(ABC):
     def _reason_of(error: Exception) -> str:
         return ": ".join(filter(None, (type(error).__name__, str(error))))
 
-    def _no_answer(self) -> LostError:
-        return LostError(
+    def _no_answer(self) -> NoAnswerError:
+        return NoAnswerError(
             f"the sound server{where()} does not answer; see whether it hangs, and restart it if so"
         )
 

@@ -56,7 +56,6 @@ class DefaultsCheck:
             return
         self.due_s = self._changed_s = None
         known = Defaults(snapshot.default_sink, snapshot.default_source)
-
         threading.Thread(
             target=self.check, args=(known,), name="defaults-check", daemon=True
         ).start()

@@ -90,6 +90,12 @@ def reachable_sinks(snapshot: ServerSnapshot, target: str) -> set[str]:
     return names
 
 
+def sinks_heard_on(snapshot: ServerSnapshot, target: str) -> set[str]:
+    """Return the target, and all sinks whose sound modules forward to the target."""
+    names = {sink.name for sink in snapshot.sinks}
+    return {target} | {name for name in names if target in reachable_sinks(snapshot, name)}
+
+
 def carries_sound_of(snapshot: ServerSnapshot, stream: Stream, sinks: Collection[str]) -> bool:
     """Whether a playing stream belongs to a module that forwards the sound of these sinks."""
     monitors = {source.index for source in snapshot.sources if source.monitor_of in sinks}

@@ -5,10 +5,11 @@ unique. The server may reuse an id at once, so a removed object must be deleted 
 """
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
-SESSION_MANAGERS = ("WirePlumber", "pipewire-media-session")  # programs that link streams to sinks
+# Programs that link streams to sinks: the beginnings of their names, which may end with a profile.
+SESSION_MANAGERS = ("WirePlumber", "pipewire-media-session")
 LINK_ENDS = ("output-port-id", "input-port-id", "output-node-id", "input-node-id")
 
 LinkPair = tuple[int, int]  # ids of the output port and the input port of a link
@@ -26,15 +27,27 @@ class Node:
     properties: Mapping[str, Any]
 
 
+class PortLatency(NamedTuple):
+    """The delay behind an input port: cycles of the graph, frames of the graph's rate, seconds."""
+
+    cycles: float = 0.0
+    frames: float = 0.0
+    seconds: float = 0.0
+
+
 @dataclass(frozen=True, slots=True)
 class Port:
-    """A port. name: such as "playback_FL". channel: such as "FL", "" if unknown."""
+    """A port. name: such as "playback_FL". channel: such as "FL", "" if unknown.
+
+    latency: declared delay of an input port. Ports are equal if only their latencies differ.
+    """
 
     id: int
     node_id: int
     name: str
     channel: str
     is_monitor: bool
+    latency: PortLatency = field(default=PortLatency(), compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +71,8 @@ class Graph:
     """The objects of one server. Not thread-safe: hold `GraphWatch.lock`.
 
     nodes, ports, links: by id. version: the server's version, "" while unknown. clock_hz: the
-    server's configured sample rate, 0 while unknown.
+    server's configured sample rate, 0 while unknown. settings: of the server, by
+    PipeWire's names.
     """
 
     def __init__(self) -> None:
@@ -67,6 +81,7 @@ class Graph:
         self.links: dict[int, Link] = {}
         self.version = ""
         self.clock_hz = 0
+        self.settings: dict[Any, Any] = {}
         self._clients: dict[int, Mapping[str, Any]] = {}
         self._named: Index = {}
         self._ports_of: Index = {}
@@ -109,14 +124,6 @@ class Graph:
         """Return the sink of this name, if there is one."""
         return next((node for node in self.nodes_named(name) if node.is_sink), None)
 
-    def sinks(self) -> Iterator[Node]:
-        """Return all nodes that play sound from other nodes."""
-        return (node for node in self.nodes.values() if node.is_sink)
-
-    def is_sink(self, node_id: int) -> bool:
-        """Whether a node plays sound from other nodes."""
-        return node_id in self.nodes and self.nodes[node_id].is_sink
-
     def nodes_named(self, name: str) -> Iterator[Node]:
         """Return all nodes of this name."""
         return (self.nodes[node_id] for node_id in self._named.get(name, ()))
@@ -131,6 +138,20 @@ class Graph:
         start = len(prefix)
         return {port.name[start:]: port.id for port in ports if port.name.startswith(prefix)}
 
+    def declared_s(self, sink: str, cycle_frames: int, samplerate: int) -> float | None:
+        """Return the delay in s that a sink declares, None if the sink is unknown.
+
+        The delay is the time from a cycle until its sound is heard, 0 if nothing is declared. It is
+        that of the latest of the ports. The sink's buffer may count in cycles: see `PortLatency`.
+        """
+        node = self.sink(sink)
+        if node is None or samplerate <= 0:
+            return None
+        inputs = self.ports_of(node.id, "playback_").values()
+        latencies = (self.ports[port_id].latency for port_id in inputs)
+        delays_s = [s + (cycles * cycle_frames + n) / samplerate for cycles, n, s in latencies]
+        return max(delays_s, key=abs, default=0.0)
+
     def links_of(self, node_id: int) -> Iterator[Link]:
         """Return the links from and to a node."""
         return (self.links[link_id] for link_id in self._links_of.get(node_id, ()))
@@ -139,7 +160,7 @@ class Graph:
     def session_manager(self) -> int | None:
         """Serial number of the client that links streams to sinks; None if no such client runs."""
         for client in self._clients.values():
-            if client.get("application.name") in SESSION_MANAGERS:
+            if str(client.get("application.name", "")).startswith(SESSION_MANAGERS):
                 return _number(client.get("object.serial"))
         return None
 
@@ -164,8 +185,8 @@ class Graph:
         elif kind.endswith(":Port"):
             name, channel = str(known.get("port.name", "")), str(known.get("audio.channel", ""))
             is_monitor = str(known.get("port.monitor")).lower() == "true"
-            port = Port(number, _number(known.get("node.id")), name, channel, is_monitor)
-            self._put(self.ports, port)
+            node_id, latency = _number(known.get("node.id")), _latency(info.get("params"))
+            self._put(self.ports, Port(number, node_id, name, channel, is_monitor, latency))
         elif kind.endswith(":Link"):
             state = str(info.get("state", ""))
             output, input_, from_node, to_node = (_number(info.get(end)) for end in LINK_ENDS)
@@ -181,6 +202,7 @@ class Graph:
     def _read_settings(self, item: Mapping[str, Any]) -> None:
         if (item.get("props") or {}).get("metadata.name") == "settings":
             found = {one.get("key"): one.get("value") for one in item.get("metadata") or ()}
+            self.settings = found
             forced_hz = _number(found.get("clock.force-rate"))
             self.clock_hz = max(0, forced_hz if forced_hz > 0 else _number(found.get("clock.rate")))
 
@@ -227,6 +249,18 @@ def _wiring(one: Node | Port | Link) -> object:
     if isinstance(one, Node):
         return one.properties
     return one.pair if isinstance(one, Link) else one
+
+
+def _latency(parameters: Any) -> PortLatency:
+    """Return the latency of a port's sink side, the mean of its least and largest value."""
+    for one in (parameters or {}).get("Latency") or ():
+        if one.get("direction") == "Input":
+            cycles, frames, nanoseconds = (
+                0.5 * (one.get(f"min{unit}", 0) + one.get(f"max{unit}", 0))
+                for unit in ("Quantum", "Rate", "Ns")
+            )
+            return PortLatency(cycles, frames, 1e-9 * nanoseconds)
+    return PortLatency()
 
 
 def _serial(item: Mapping[str, Any]) -> int:

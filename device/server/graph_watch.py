@@ -181,11 +181,18 @@ class Documents:
         block = os.read(self.file, READ_BYTES)
         self.ended = not block
         *whole, self._waiting = (self._waiting + block).split(b"\n]\n")
-        return [json.loads(_PARAMETERS.sub(b"", text) + b"\n]") for text in whole]
+        return [json.loads(_PARAMETERS.sub(_latency_in, text) + b"\n]") for text in whole]
 
 
-# Formats and volumes of nodes: most of the text, and unused.
+# Formats and volumes of nodes are most of the text. Only the latencies in it are used.
 _PARAMETERS = re.compile(rb'(?<=\n      "params": \{)(?:\n        .*)+')
+_LATENCY = re.compile(rb'\n        "Latency": \[(?:\n          .*)*\n        \]')
+
+
+def _latency_in(parameters: re.Match[bytes]) -> bytes:
+    found = _LATENCY.search(parameters[0])
+    return found[0] if found else b""
+
 
 _ADDED = re.compile(r"remote \d+ added global: \tid (\d+), type ([\w:]+)/\d+")
 _REMOVED = re.compile(r"remote \d+ removed global: \tid (\d+)")

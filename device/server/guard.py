@@ -186,17 +186,16 @@ class FallbackSink:
 
     Make this object before the playback stream. A fallback sink that an earlier process left is
     reused. Any thread except the connection's may use the object. connection: to the server.
-    active: whether the sink is ready. reason: why it is not ready, in one line. LostError: the
-    connection is lost.
+    reason: why the sink is not ready, in one line; "" on PipeWire, which ends the stream instead.
+    LostError: the connection is lost.
     """
 
     def __init__(self, connection: PulseConnection) -> None:
         self._connection = connection
         self._modules: list[int] = []
-        self.active, self.reason = False, ""
+        self.reason = ""
         snapshot = connection.snapshot()
         if snapshot.kind == "PipeWire":
-            self.reason = "PipeWire ends the stream instead"
             return
         try:
             if "module-intended-roles" not in connection.modules().values():
@@ -208,7 +207,6 @@ class FallbackSink:
                 arguments = (f"sink_name={FALLBACK_SINK}", f'sink_properties="{known}"')
                 left = connection.load_module("module-null-sink", arguments)
             self._modules.append(left)
-            self.active = True
         except NotFoundError as error:
             self.reason = (
                 f"about 10 ms of vibration may be audible if the haptic device vanishes: {error}"
@@ -217,7 +215,6 @@ class FallbackSink:
 
     def close(self) -> None:
         """Unload the sink's modules. May be repeated; raises nothing."""
-        self.active = False
         while self._modules:
             with suppress(LostError, NotFoundError):  # the module is already unloaded
                 self._connection.unload_module(self._modules.pop())

@@ -87,10 +87,7 @@ class LibPulse(SimpleNamespace):
             self.proplist_free(properties)
 
 
-@cache
-def load() -> LibPulse:
-    """Return the loaded library. NotFoundError: see `load_pulsectl`."""
-    return LibPulse()
+load = cache(LibPulse)  # returns the loaded library; NotFoundError: see `load_pulsectl`
 
 
 def load_pulsectl() -> Any:

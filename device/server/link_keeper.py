@@ -62,9 +62,9 @@ class LinkKeeper:
         self._note_times(wanted, present, now_s)
         self._renew_paused(links.values(), now_s)
 
-    def are_there(self, pairs: Set[LinkPair]) -> bool:
-        """Whether all of these wanted links existed when `update` was last called."""
-        return pairs <= self._present_s.keys()
+    def missing(self, pairs: Set[LinkPair]) -> Set[LinkPair]:
+        """Return which of these wanted links did not exist when `update` was last called."""
+        return pairs - self._present_s.keys()
 
     def missing_for_s(self, pairs: Set[LinkPair], now_s: float) -> float:
         """Return the longest time in s for which one of these wanted links has been missing."""

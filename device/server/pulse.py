@@ -29,11 +29,13 @@ from device.server.snapshot import (
 )
 from device.volume_limit import limit_volume_db
 
+CLIENT = "haptic-cushion"  # name of these connections on the server
 FACILITIES = ("sink", "source", "sink_input", "source_output", "module", "card", "server")
 _GATHER_S = 0.02  # time from the first event of a group to the snapshot; events come in dozens
 _BUSY_POLLS, _BUSY_S = 50, 1.0  # after 50 polls in 1 s, each event waits for further events
 _REST_RATIO = 100.0  # pause after a snapshot / duration of the snapshot: about 1 % of a core
 _REST_MAX_S = 2.0  # longest such pause; only snapshots for events about streams wait for its end
+_SAVED_S = 10.0  # this much unused pause allows snapshots in quick succession: a game starts
 _VOLUME_LOOKS, _VOLUME_LOOK_S = 25, 0.02
 _VOLUME_ROUNDING = 1e-4  # between six and seven of the server's 65 536 volume steps
 
@@ -57,7 +59,7 @@ class PulseConnection(ConnectionThread):
         self._pulse: Any = None
         self._events = 0
         self._changed: set[str] = set()
-        self._rested_s = 0.0
+        self._rested_s = -_SAVED_S
         self._due_s: float | None = None
         self._default_due_s: float | None = None
         self._default_seen = self._default_reported = ""
@@ -94,6 +96,10 @@ class PulseConnection(ConnectionThread):
             time.sleep(_VOLUME_LOOK_S)
         raise NotFoundError(f"the sink {name!r} does not take the level {wanted_db:g} dB")
 
+    def set_sink_mute(self, name: str, muted: bool) -> None:
+        """Mute a sink, or unmute it at its present volume."""
+        self._ask(lambda: self._pulse.sink_mute(self._pulse.get_sink_by_name(name).index, muted))
+
     def set_default_sink(self, name: str) -> None:
         """Make a sink the default sink. Streams may move to it later."""
         self._ask(lambda: self._pulse.sink_default_set(name))
@@ -115,6 +121,18 @@ class PulseConnection(ConnectionThread):
     def modules(self) -> dict[int, str]:
         """Return the names of the server's modules, keyed by index."""
         return {one.index: one.name for one in self._ask(lambda: self._pulse.module_list())}
+
+    def latencies_s(self) -> dict[str, float]:
+        """Return each sink's present latency in seconds, keyed by name. PipeWire reports 0."""
+        return {one.name: 1e-6 * one.latency for one in self._ask(lambda: self._pulse.sink_list())}
+
+    def processes(self) -> set[int]:
+        """Return the ids of the processes that have such a connection, of this process too."""
+        clients = self._ask(lambda: self._pulse.client_list())
+        texts = (
+            one.proplist.get("application.process.id", "") for one in clients if one.name == CLIENT
+        )
+        return {int(text) for text in texts if text.isdecimal()}
 
     def add(self, listener: Listener) -> None:
         """Add a listener, which gets a snapshot at once."""
@@ -153,11 +171,12 @@ class PulseConnection(ConnectionThread):
         patch_samplerates(pulsectl)
         with self._deadline():
             try:
-                self._pulse = pulsectl.Pulse("haptic-cushion", connect=False)
+                self._pulse = pulsectl.Pulse(CLIENT, connect=False)
                 self._pulse.set_poll_func(self._poll, lambda *_: None)
                 self._pulse.connect()
             except Exception:
-                raise no_server() from None
+                is_late = time.monotonic() >= (self._deadline_s or math.inf)
+                raise (self._no_answer() if is_late else no_server()) from None
             self._pulse.event_mask_set(*FACILITIES)
             self._pulse.event_callback_set(self._on_event)
 
@@ -198,7 +217,8 @@ class PulseConnection(ConnectionThread):
         with self._deadline():
             self.latest = snapshot = take_snapshot(self._pulse, self._events, known)
         now_s = time.monotonic()
-        self._rested_s = now_s + min(_REST_MAX_S, _REST_RATIO * (now_s - began_s))
+        rest_s = _REST_RATIO * (now_s - began_s)
+        self._rested_s = min(max(self._rested_s, now_s - _SAVED_S) + rest_s, now_s + _REST_MAX_S)
         if self._due_s is not None and self._due_s > now_s and self._changed <= STREAMS:
             self._due_s = max(self._due_s, self._rested_s)  # events came during the query
         for listener in tuple(self._listeners):

@@ -38,9 +38,14 @@ class Sink:
     mute: bool = False
 
     @property
+    def volume_percent(self) -> int:
+        """The volume as sound settings show it."""
+        return round(100.0 * math.pow(10.0, self.volume_db / 60.0))
+
+    @property
     def weakened(self) -> str:
         """What lowers the sink's level: "muted" or, for example, "volume 30 %"; "" for nothing."""
-        percent = round(100.0 * 10.0 ** (self.volume_db / 60.0))
+        percent = self.volume_percent
         return "muted" if self.mute else f"volume {percent} %" if percent < 100 else ""
 
     @property
@@ -112,6 +117,10 @@ class ServerSnapshot:
     def sink(self, name: str | None) -> Sink | None:
         """Return the sink with exactly this name, or None."""
         return next((sink for sink in self.sinks if sink.name == name), None)
+
+    def playing_to(self, name: str | None) -> list[Stream]:
+        """Return the streams that play to the sink with this name now."""
+        return [one for one in self.sink_inputs if one.device_name == name and not one.corked]
 
 
 def patch_samplerates(pulsectl: Any) -> None:

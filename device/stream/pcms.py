@@ -42,10 +42,13 @@ class PcmConfig:
     environment of the process. It removes PULSE_LATENCY_MSEC, which would block the output, and
     prevents the start of a JACK server. The user's properties in PULSE_PROP are kept. Only one
     thread at a time may use the object.
-    names: one word each. pcms: PCMs by name. LostError: the file in memory cannot be made.
+    names: one word each. role: media.role of the streams; with any role except ROLE, the daemon
+    treats them as streams of another application. pcms: PCMs by name.
+    LostError: the file in memory cannot be made.
     """
 
-    def __init__(self, *names: str) -> None:
+    def __init__(self, *names: str, role: str = ROLE) -> None:
+        self._role = role
         self.pcms: Mapping[str, Pcm] = {name: Pcm(self, name) for name in names}
         self._file = -1
         self._before = {
@@ -65,7 +68,9 @@ class PcmConfig:
         """Let `pcm` open its target inside this context; the stream gets our properties and tag."""
         self._write()
         theirs = self._before["PULSE_PROP"] or ""
-        ours = f"application.id={APPLICATION_ID} media.role={ROLE} {TAG}={tag}"
+        ours = f"media.role={self._role}"
+        if self._role == ROLE:
+            ours = f"application.id={APPLICATION_ID} {ours} {TAG}={tag}"
         if output:  # PipeWire then ends an output whose sink vanishes, instead of moving it
             ours += " node.dont-reconnect=true"  # a capture needs to be movable
         os.environ["PULSE_PROP"] = f"{theirs} {ours}".strip()

@@ -19,13 +19,7 @@ from device.blocks import emptied, peak
 from device.errors import UsageError
 from device.stream.callback_thread import RELEASE_LIMIT_S, AudioPriority, GilState
 from device.stream.pcms import Pcm, ServerDevice
-from device.stream.portaudio import (
-    BLOCK_FRAMES,
-    OpenStream,
-    StreamSetup,
-    close_stream,
-    open_stream,
-)
+from device.stream.portaudio import BLOCK_FRAMES, OpenStream, StreamSetup, close_stream, open_stream
 from device.stream.sample_format import Encoder, SampleFormat
 from device.units import Float32Array
 

@@ -10,19 +10,7 @@
 a device. Only take_over.py detaches a kernel driver.
 """
 
-from device.errors import NoLibusbError, NoUsbBusError, NoUsbDeviceError, UsbAccessError
 from device.usb.identity import UsbIdentity, find_one, identify
 from device.usb.sysfs import Found, UsbAudioDevice, find_devices
 
-__all__ = [
-    "Found",
-    "NoLibusbError",
-    "NoUsbBusError",
-    "NoUsbDeviceError",
-    "UsbAccessError",
-    "UsbAudioDevice",
-    "UsbIdentity",
-    "find_devices",
-    "find_one",
-    "identify",
-]
+__all__ = ["Found", "UsbAudioDevice", "UsbIdentity", "find_devices", "find_one", "identify"]

@@ -16,15 +16,12 @@ from device.errors import NoLibusbError, NoUsbDeviceError, UsbAccessError, not_i
 from device.usb import requests
 from device.usb.descriptors import PlaybackFormat, RateRange, parse_whole, playback_formats
 from device.usb.descriptors.audio_class import FeatureControl
+from device.usb.descriptors.blocks import CONFIGURATION, DEVICE, LEAST_BYTES
 from device.usb.requests import Request, VolumeRange
 from device.usb.sysfs import UsbAudioDevice
 from device.volume_limit import MAX_VOLUME_DB
 
 _TIMEOUT_MS = 500  # of one request
-
-# types and lengths: USB 2.0, tables 9-5, 9-8 and 9-10
-_DEVICE, _DEVICE_BYTES = 1, 18
-_CONFIGURATION, _CONFIGURATION_BYTES = 2, 9
 
 
 @cache
@@ -80,11 +77,12 @@ def read_descriptors(device: UsbAudioDevice) -> bytes:
     from usb.control import get_descriptor
 
     try:
-        blocks = [bytes(get_descriptor(handle, _DEVICE_BYTES, _DEVICE, 0))]
+        blocks = [bytes(get_descriptor(handle, LEAST_BYTES[DEVICE], DEVICE, 0))]
         for index in range(handle.bNumConfigurations):
-            head = bytes(get_descriptor(handle, _CONFIGURATION_BYTES, _CONFIGURATION, index))
+            least = LEAST_BYTES[CONFIGURATION]
+            head = bytes(get_descriptor(handle, least, CONFIGURATION, index))
             length = int.from_bytes(head[2:4], "little")  # wTotalLength
-            blocks.append(bytes(get_descriptor(handle, length, _CONFIGURATION, index)))
+            blocks.append(bytes(get_descriptor(handle, length, CONFIGURATION, index)))
     except usb.core.USBError as error:
         raise _refusal(device, error) from None
     finally:
@@ -154,12 +152,10 @@ class UsbControl:
 
     def volume_range(self, channel: int) -> VolumeRange:
         """Return the range of a channel's volume."""
-        volume = FeatureControl.VOLUME
-        if self._playback.uac > 1:
-            answer = self._ask(requests.feature(self._playback, volume, channel, "range"))
-            return requests.volume_ranges(answer)
+        playback, volume = self._playback, FeatureControl.VOLUME
         what: tuple[requests.What, ...] = ("lowest", "highest", "step")
-        asked = [requests.feature(self._playback, volume, channel, each) for each in what]
+        what = what if playback.uac == 1 else ("range",)
+        asked = (requests.feature(playback, volume, channel, each) for each in what)
         return requests.volume_range(*map(self._ask, asked))
 
     def set_volume_db(
@@ -245,7 +241,7 @@ class UsbControl:
 
     def _units(self, channel: int) -> int:
         asked = requests.feature(self._playback, FeatureControl.VOLUME, channel)
-        return requests.volume(self._ask(asked))
+        return requests.number(self._ask(asked), 2, "volume", signed=True)
 
     def _set_units(self, channel: int, units: int) -> None:
         self._ask(requests.set_feature(self._playback, FeatureControl.VOLUME, channel, units))
@@ -270,8 +266,7 @@ class UsbControl:
 def open_control(device: UsbAudioDevice) -> UsbControl:
     """Return the controls of a device without an attached driver.
 
-    UsbAccessError: a driver is attached, the device cannot be used, or it cannot play sound.
-    NoLibusbError: PyUSB or libusb is missing. NoUsbDeviceError: libusb does not see the device.
+    UsbAccessError: a driver is attached, or it cannot play sound. Other errors: see `open_device`.
     """
     if drivers := held_by(device):
         raise UsbAccessError(

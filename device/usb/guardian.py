@@ -28,9 +28,8 @@ def main() -> int:
     if wanted is None:
         return 0
     try:
-        _give_back(wanted)
-    except NoUsbDeviceError:
-        pass
+        with suppress(NoUsbDeviceError):
+            _give_back(wanted)
     except CushionError as error:
         print(error)
         return 1
@@ -45,30 +44,21 @@ def _give_back(wanted: dict[str, Any]) -> None:
         return
     state = wanted["state"]
     handle = open_device(device)
-    control = UsbControl(device, playback_of(device), handle)
-    try:
-        control.restore(
-            ControlState(
-                tuple((channel, units) for channel, units in state["volumes"]),
-                tuple((channel, muted) for channel, muted in state["mutes"]),
-                state["samplerate"],
-            )
-        )
-    finally:
-        control.close()
-        _attach(handle, wanted["interfaces"])
-
-
-def _attach(handle: Any, interfaces: list[int]) -> None:
     import usb.core
     import usb.util
 
-    for number in interfaces:
-        # Attaching the driver to the first interface also attaches it to the others.
-        with suppress(usb.core.USBError, NotImplementedError):
-            if not handle.is_kernel_driver_active(number):
-                handle.attach_kernel_driver(number)
-    usb.util.dispose_resources(handle)
+    control = UsbControl(device, playback_of(device), handle)
+    try:
+        volumes, mutes = (tuple(map(tuple, state[name])) for name in ("volumes", "mutes"))
+        control.restore(ControlState(volumes, mutes, state["samplerate"]))
+    finally:
+        control.close()
+        for number in wanted["interfaces"]:
+            # Attaching the driver to the first interface also attaches it to the others.
+            with suppress(usb.core.USBError, NotImplementedError):
+                if not handle.is_kernel_driver_active(number):
+                    handle.attach_kernel_driver(number)
+        usb.util.dispose_resources(handle)
 
 
 if __name__ == "__main__":

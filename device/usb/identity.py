@@ -69,7 +69,12 @@ class UsbIdentity:
             return False
         if self.port not in ("", device.port):
             return False
-        return self.serial == "" or self.serial in _serials(device)
+        # the serial as the device, udev or a sound server writes it
+        serial = udev_serial(device)
+        vendor = _udev_form(device.manufacturer) or device.vendor_id
+        model = _udev_form(device.product) or device.product_id
+        others = (serial, f"{vendor}_{model}_{serial}") if serial else ()
+        return self.serial in ("", device.serial, *others)
 
 
 def identify(device: UsbAudioDevice, present: Iterable[UsbAudioDevice]) -> UsbIdentity:
@@ -134,14 +139,6 @@ def udev_serial(device: UsbAudioDevice) -> str:
     if any(not " " <= sign <= "~" or sign == "," for sign in device.serial):
         return ""
     return _udev_form(device.serial)
-
-
-def _serials(device: UsbAudioDevice) -> tuple[str, ...]:
-    """Return a device's serial as the device, udev and a sound server write it."""
-    serial = udev_serial(device)
-    vendor = _udev_form(device.manufacturer) or device.vendor_id
-    model = _udev_form(device.product) or device.product_id
-    return (device.serial, serial, f"{vendor}_{model}_{serial}") if serial else (device.serial,)
 
 
 def coil_channels(vendor_id: str, product_id: str) -> tuple[int, ...]:

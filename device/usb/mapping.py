@@ -63,14 +63,6 @@ def device_of_sink(sink: Sink, devices: Iterable[UsbAudioDevice]) -> UsbAudioDev
     return alike[0] if len(alike) == 1 else None
 
 
-def sinks_of(
-    device: UsbAudioDevice, sinks: Iterable[Sink], devices: Iterable[UsbAudioDevice]
-) -> tuple[Sink, ...]:
-    """Return the sinks that play on a device. devices: all present devices, including this one."""
-    known = tuple(devices)
-    return tuple(sink for sink in sinks if device_of_sink(sink, known) == device)
-
-
 def is_sink_of(identity: UsbIdentity, sink: Sink) -> bool:
     """Whether a sink plays on a device that `identity` names."""
     known = identity_of(sink)

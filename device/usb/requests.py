@@ -123,13 +123,26 @@ def volume_units(decibels: float) -> int:
 
 
 def volume_range(*answers: bytes) -> VolumeRange:
-    """Decode answers of USB Audio 1.0: lowest, highest, step. UsbAccessError: invalid answer."""
-    return _volume_range([tuple(volume(answer, "volume range") for answer in answers)])
+    """Decode the lowest, the highest and the step (USB Audio 1.0), or one answer with all ranges.
 
-
-def volume_ranges(answer: bytes) -> VolumeRange:
-    """Decode an answer of USB Audio 2.0; unite its ranges. UsbAccessError: invalid answer."""
-    return _volume_range(_ranges("volume range", answer, "<hhh"))
+    The ranges are united. UsbAccessError: an answer is invalid.
+    """
+    name = "volume range"
+    if len(answers) == 1:
+        triples = _ranges(name, answers[0], "<hhh")
+    else:
+        triples = [tuple(number(answer, 2, name, signed=True) for answer in answers)]
+    lowest = min(low for low, _, _ in triples)
+    highest = max(high for _, high, _ in triples)
+    if lowest > highest:
+        raise UsbAccessError(
+            f"the device offers volumes from {lowest / VOLUME_UNITS_PER_DB:g} to "
+            f"{highest / VOLUME_UNITS_PER_DB:g} dB, not a valid range; its volume is not changed"
+        )
+    # -32768 is silence, not a volume in dB.
+    lowest = max(lowest, SILENCE_UNITS + 1)
+    step = max(1, *(step for _, _, step in triples))
+    return VolumeRange(*(units / VOLUME_UNITS_PER_DB for units in (lowest, highest, step)))
 
 
 def samplerate_ranges(answer: bytes) -> tuple[RateRange, ...]:
@@ -141,11 +154,6 @@ def samplerate_ranges(answer: bytes) -> tuple[RateRange, ...]:
     )
 
 
-def volume(answer: bytes, name: str = "volume") -> int:
-    """Decode a volume in 1/256 dB. UsbAccessError: the answer is too short."""
-    return number(answer, 2, name, signed=True)
-
-
 def number(answer: bytes, length: int, name: str = "number", *, signed: bool = False) -> int:
     """Decode an integer at the start of an answer. UsbAccessError: the answer is too short."""
     if len(answer) < length:
@@ -154,20 +162,6 @@ def number(answer: bytes, length: int, name: str = "number", *, signed: bool = F
             "bytes"
         )
     return int.from_bytes(answer[:length], "little", signed=signed)
-
-
-def _volume_range(triples: list[tuple[int, ...]]) -> VolumeRange:
-    lowest = min((low for low, _, _ in triples), default=0)
-    highest = max((high for _, high, _ in triples), default=-1)
-    if lowest > highest:
-        raise UsbAccessError(
-            f"the device offers volumes from {lowest / VOLUME_UNITS_PER_DB:g} to "
-            f"{highest / VOLUME_UNITS_PER_DB:g} dB, not a valid range; its volume is not changed"
-        )
-    # -32768 is silence, not a volume in dB.
-    lowest = max(lowest, SILENCE_UNITS + 1)
-    step = max(1, *(step for _, _, step in triples))
-    return VolumeRange(*(units / VOLUME_UNITS_PER_DB for units in (lowest, highest, step)))
 
 
 def _ranges(name: str, answer: bytes, layout: str) -> list[tuple[int, ...]]:

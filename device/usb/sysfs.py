@@ -30,7 +30,6 @@ class AudioInterface:
 
     number: int
     subclass: int  # 1 control, 2 streaming, 3 MIDI
-    protocol: int  # 0x00 for version 1 of the audio class, 0x20 for 2, 0x30 for 3
     driver: str  # the attached driver, such as "snd-usb-audio", "" for none
 
 
@@ -118,10 +117,9 @@ def find_devices(root: Path = ROOT) -> Found:
     for name in names:
         if match := _INTERFACE.fullmatch(name):
             interfaces[match["port"]].append(bus / name)
-    found = (
-        _device(root, name, sorted(interfaces[name]), cards)
-        for name in sorted(filter(_PORT.fullmatch, names), key=_in_order)
-    )
+    # sorted by numbers: 1-10 follows 1-2
+    ports = sorted(filter(_PORT.fullmatch, names), key=lambda p: [*map(int, re.split("[-.]", p))])
+    found = (_device(root, port, sorted(interfaces[port]), cards) for port in ports)
     devices = tuple(filter(None, found))
     return Found(devices, _why_none_plays(devices))
 
@@ -195,7 +193,6 @@ def _interface(folder: Path) -> AudioInterface | None:
         return AudioInterface(
             number=int((folder / "bInterfaceNumber").read_bytes(), 16),
             subclass=int((folder / "bInterfaceSubClass").read_bytes(), 16),
-            protocol=int((folder / "bInterfaceProtocol").read_bytes(), 16),
             driver=driver.readlink().name if driver.is_symlink() else "",
         )
     except (OSError, ValueError):
@@ -220,11 +217,6 @@ def _cards(root: Path) -> dict[str, list[AlsaCard]]:
         name = _text(root / f"proc/asound/card{number}/id") or _text(sound / f"card{number}/id")
         cards[str(usb)].append(AlsaCard(number, name, tuple(sorted(playback[number]))))
     return cards
-
-
-def _in_order(port: str) -> list[int]:
-    """Return a sort key for ports, by which 1-10 follows 1-2."""
-    return [int(number) for number in re.split("[-.]", port)]
 
 
 def _bytes(path: Path) -> bytes:

@@ -48,14 +48,11 @@ def test_the_band_pass_passes_100_hz_and_stops_2_khz():
     assert level_db(felt("band-pass", 2_000.0)) < passed_db - 34.0
 
 
-def test_the_envelope_of_a_sound_that_comes_and_goes_is_felt():
+def test_the_envelope_of_a_sound_is_felt_and_its_levelling_outweighs_its_expansion():
     swelling = tone(3_000.0, 0.3, 1.0) * (tone(150.0, 0.5, 1.0) + 0.5)
     vibration = SUBJECTS["envelope"].vibration(swelling, SAMPLERATE)[SAMPLERATE // 2 :]
     assert sine_fit(vibration, SAMPLERATE).frequency_hz == pytest.approx(150.0, abs=0.5)
     assert level_db(vibration) > level_db(felt("envelope", 3_000.0)) + 20.0
-
-
-def test_the_envelope_s_levelling_outweighs_its_expansion():
     loud, quiet = (felt("envelope", 150.0, amplitude) for amplitude in (0.5, 0.05))
     assert np.abs(loud).max() < envelope.GAIN_OUT
     # the cube alone would make 60 dB of 20
@@ -74,8 +71,7 @@ def test_the_centroid_s_envelope_falls_by_e_in_a_tenth_of_a_second():
     way = centroid.Method(SAMPLERATE, 1)
     sound = np.zeros((SAMPLERATE // way.hop, way.hop))
     sound[0] = 0.5
-    level = way._envelope(sound)
-    at = round((0.1 + centroid.HOLD_S) * SAMPLERATE / way.hop)
+    level, at = way._envelope(sound), round((0.1 + centroid.HOLD_S) * SAMPLERATE / way.hop)
     assert level[0] == pytest.approx(0.5)
     assert level[at] == pytest.approx(0.5 / np.e, rel=0.04)  # within a hop, 2.7 ms
 

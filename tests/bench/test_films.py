@@ -36,8 +36,7 @@ SECOND = SAMPLERATE
 
 def made_sounds(a_class=3):
     """Sounds of every class: noise, dying away where the class is one of strokes."""
-    rng = np.random.default_rng(3)
-    found = []
+    rng, found = np.random.default_rng(3), []
     for kind in KINDS:
         for number in range(a_class):
             sound = 0.3 * rng.standard_normal((1 + number) * SECOND)
@@ -69,8 +68,7 @@ def test_a_film_is_made_by_its_seed_of_parts_that_follow_one_another(made_film):
     assert made_film.action.start < strokes.min() < strokes.max() < made_film.action.stop
     assert np.diff(strokes).min() > 3 * SECOND
     hiss = made_film.sound[made_film.hiss]
-    assert hiss.size == 30 * SECOND
-    assert 20.0 * np.log10(hiss.std()) == pytest.approx(-70.0, abs=3.0)
+    assert (hiss.size, 20.0 * np.log10(hiss.std())) == (30 * SECOND, pytest.approx(-70.0, abs=3.0))
     # The last words before the action are the first after the hiss, which lies 45 dB under them.
     one, other = (made_film.sound[place] for place in (made_film.word, made_film.again))
     assert made_film.word.stop == made_film.dialogue.stop
@@ -83,8 +81,7 @@ def test_a_film_is_made_by_its_seed_of_parts_that_follow_one_another(made_film):
 @given(st.integers(1, 4 * SECOND), st.integers(2, SECOND))
 @settings(max_examples=20, deadline=None)
 def test_a_sound_goes_on_for_as_long_as_wanted_at_its_level(frames, length):
-    rng = np.random.default_rng(1)
-    played = going_on(0.1 * rng.standard_normal(length), frames, -20.0)
+    played = going_on(0.1 * np.random.default_rng(1).standard_normal(length), frames, -20.0)
     assert played.size == frames
     if frames > 1:
         assert 20.0 * np.log10(float(played.std())) == pytest.approx(-20.0, abs=1e-6)
@@ -109,21 +106,17 @@ def test_levels_are_of_a_sines_peak_and_of_what_is_heard_or_felt_of_it():
     assert one - other == pytest.approx(6.0, abs=0.3)  # an octave
 
 
-def test_a_stroke_is_as_strong_as_its_strongest_moment():
-    levels = np.full(3_000, -30.0)
-    levels[1_200], levels[1_800] = -10.0, 0.0
-    assert strokes_db(levels, np.array([1_000.0])) == pytest.approx([-10.0])
-
-
-def test_strokes_stand_out_if_their_rise_is_larger_than_most_others():
-    rng = np.random.default_rng(2)
-    levels = -30.0 + rng.uniform(0.0, 5.0, 20_000)
+def test_strokes_stand_out_if_their_rise_is_larger_than_most_and_are_as_strong_as_their_peak():
+    levels = -30.0 + np.random.default_rng(2).uniform(0.0, 5.0, 20_000)
     strokes = np.arange(2_000.0, 20_000.0, 4_000.0)
     for at in strokes.astype(int):
         levels[at] = -30.0
         levels[at + 50 : at + 250] += 12.0
     assert standing_out(levels, strokes) == 100.0
     assert standing_out(np.full(20_000, -30.0), strokes) == 0.0
+    levels = np.full(3_000, -30.0)
+    levels[1_200], levels[1_800] = -10.0, 0.0
+    assert strokes_db(levels, np.array([1_000.0])) == pytest.approx([-10.0])
 
 
 @given(st.lists(st.floats(-70.0, 0.0), min_size=300, max_size=600))
@@ -144,8 +137,7 @@ def test_what_a_stroke_adds_is_the_ratio_of_energies_after_it():
 
 
 def test_the_contrasts_of_a_film_are_those_of_its_levels(made_film):
-    steps = made_film.sound.size // 48
-    levels = np.full(steps, -40.0)
+    levels = np.full(made_film.sound.size // 48, -40.0)
     for part, level in (("action", -20.0), ("hiss", -60.0), ("word", -38.0), ("again", -33.0)):
         place = getattr(made_film, part)
         levels[place.start // 48 : place.stop // 48] = level
@@ -189,8 +181,7 @@ def test_the_soft_power_of_a_sounds_own_strength_matches_its_momentary_loudness(
     at = round(onset_s * SECOND)
     sound[:at] = 0.0
     sound[at:] *= np.exp(-np.arange(SECOND - at) / 6_000.0)
-    steps = round(PIECE_S / STEP_S)
-    sone = loudness_sone(sound)
+    steps, sone = round(PIECE_S / STEP_S), loudness_sone(sound)
     sone = sone[: sone.size // steps * steps].reshape(-1, steps).mean(axis=1)
     # In time with the sound: its amplitude to the power that loudness follows.
     assert match(sone, pieces_rms(sound, SAMPLERATE) ** 0.6) > 90.0
@@ -207,25 +198,18 @@ def test_classes_that_differ_in_strength_are_told_apart_and_equal_ones_are_not()
 
 def test_features_of_a_steady_tone_have_no_spread_and_its_frequency_as_centroid():
     level, spread, moved, centroid, wide, glide = features(tone(80.0, 1.0, 1.0), SAMPLERATE)
-    assert level == pytest.approx(-3.01, abs=0.01)
-    assert centroid == pytest.approx(80.0, abs=1.0)
+    assert (level, centroid) == (pytest.approx(-3.01, abs=0.01), pytest.approx(80.0, abs=1.0))
     assert max(spread, moved) < 0.01
     assert max(wide, glide) < 1.0
     assert not features(np.zeros(SECOND), SAMPLERATE).any()
 
 
 def test_a_tone_whose_level_drifts_slowly_has_no_distortion_and_one_that_warbles_has():
-    time_s = np.arange(3 * SECOND) / SECOND
-    sine = tone(90.0, 0.3, 3.0)
+    time_s, sine = np.arange(3 * SECOND) / SECOND, tone(90.0, 0.3, 3.0)
     assert steady_fit(sine * (1.0 + 0.1 * time_s), SAMPLERATE) < -100.0
     warbling = steady_fit(sine * (1.0 + 0.02 * np.sin(2 * np.pi * 6.0 * time_s)), SAMPLERATE)
     # Two side bands of a hundredth each.
     assert warbling == pytest.approx(-37.0, abs=0.3)
-
-
-def test_energy_under_a_corner_is_that_of_what_lies_there():
-    slow, fast = tone(5.0, 0.1, 4.0), tone(80.0, 1.0, 4.0)
-    assert energy_under_db(slow + fast, SAMPLERATE, 15.0) == pytest.approx(-20.0, abs=0.2)
 
 
 def test_onset_and_loudest_moment_are_found_and_a_first_step_is_a_share_of_the_peak():
@@ -237,18 +221,19 @@ def test_onset_and_loudest_moment_are_found_and_a_first_step_is_a_share_of_the_p
     assert felt_singles.step_share(np.zeros(10)) == 0.0
 
 
-def test_pink_noise_has_as_much_energy_in_every_octave():
+def test_pink_noise_has_as_much_energy_in_every_octave_and_a_corner_what_lies_under_it():
     spectrum = np.abs(np.fft.rfft(pink_noise(8 * SECOND, np.random.default_rng(1)))) ** 2
     hz = np.fft.rfftfreq(8 * SECOND, 1 / SECOND)
     octaves = [spectrum[(hz >= low) & (hz < 2 * low)].sum() for low in (100, 400, 1_600, 6_400)]
     assert 10 * np.log10(np.array(octaves) / octaves[0]) == pytest.approx(0.0, abs=1.0)
+    slow, fast = tone(5.0, 0.1, 4.0), tone(80.0, 1.0, 4.0)
+    assert energy_under_db(slow + fast, SAMPLERATE, 15.0) == pytest.approx(-20.0, abs=0.2)
 
 
 def test_the_sound_has_a_column_of_its_own_on_films_and_on_impacts():
     series: felt_films.Series = {}
     rows = list(felt_films.film_rows([], [film("film", SOUNDS, 0)], series))
-    assert {row.column for row in rows} == {"sound"}
-    assert len(series["film, sound"]) == 1_060
+    assert ({row.column for row in rows}, len(series["film, sound"])) == ({"sound"}, 1_060)
     rows = list(felt_films.over_music_rows([], impacts_over_music(SOUNDS, 1)))
     assert [row.column for row in rows] == ["sound"]
     assert (rows[0].value or 0.0) > 80.0

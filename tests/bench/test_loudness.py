@@ -44,8 +44,7 @@ def test_the_coarser_decay_gives_pulses_the_loudness_of_the_whole_procedure(dura
 def test_loudness_over_time_follows_the_level_of_pieces():
     quiet, loud = at_spl(1_000.0, 50.0, 0.5), at_spl(1_000.0, 70.0, 0.5)
     levels = slow_phon(np.concatenate((quiet, loud)), 0.25)
-    assert levels.shape == (4,)
-    assert levels[1] == pytest.approx(50.0, abs=0.5)
+    assert (levels.shape, levels[1]) == ((4,), pytest.approx(50.0, abs=0.5))
     assert levels[3] == pytest.approx(70.0, abs=0.5)
 
 

@@ -65,8 +65,7 @@ def test_what_is_missing_is_named_and_the_rest_is_printed(monkeypatch, tmp_path)
 def test_json_with_something_missing_is_still_one_document_by_the_schema(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     run = run_benches(monkeypatch, "--json", broken=broken, works=fine)
-    assert run.code == 2
-    assert list(tmp_path.iterdir()) == []
+    assert (run.code, list(tmp_path.iterdir())) == (2, [])
     report = json.loads(run.stdout)
     fastjsonschema.validate(SCHEMA, report)
     assert [len(section["missing"]) for section in report["sections"]] == [1, 0]
@@ -98,8 +97,7 @@ def test_a_recording_that_is_gone_or_no_sound_is_named(folder):
     (folder / KNOWN[0]).unlink()
     (folder / KNOWN[-1]).write_text("no sound")
     found, absent = examine_recordings()
-    assert len(found) == len(KNOWN) - 2
-    assert set(absent) == {KNOWN[0], KNOWN[-1]}
+    assert (len(found), set(absent)) == (len(KNOWN) - 2, {KNOWN[0], KNOWN[-1]})
     section = fidelity.recordings(a_bench(found, absent))
     by_name = {gone.name: gone for gone in section.missing}
     assert "it is not in" in by_name[f"recording {KNOWN[0]}"].reason
@@ -195,8 +193,7 @@ def test_json_writes_no_file(monkeypatch, tmp_path):
 def test_the_tables_hold_every_row_as_json_and_as_csv(monkeypatch, tmp_path):
     tables = ("--tables", tmp_path / "tables")
     assert run_benches(monkeypatch, "--out", tmp_path / "page.md", *tables, works=fine).code == 0
-    report = json.loads((tmp_path / "tables.json").read_text())
-    (section,) = report["sections"]
+    (section,) = json.loads((tmp_path / "tables.json").read_text())["sections"]
     with (tmp_path / "tables.csv").open(newline="") as file:
         lines = list(csv.DictReader(file))
     assert len(lines) == len(section["rows"]) >= 1

@@ -18,41 +18,30 @@ from tools.bench.methods import Method, function_method, other_methods, profile_
 from tools.bench.report import BenchReport, Section
 from tools.bench.sections import felt_levels, felt_speech, felt_times
 from tools.bench.sections import real_sounds as section
-from tools.bench.sounds.real_sounds import (
-    KINDS,
-    SOUNDS_COMMAND,
-    SOUNDS_VARIABLE,
-    RealSound,
-    in_half,
-)
+from tools.bench.sounds import real_sounds
 from tools.bench.sounds.signals import SAMPLERATE, tone
 from tools.bench.sounds.unpack_sounds import Choice, choices, name_hash
 from tools.records import PROJECT_ROOT
 
 LIST = choices((PROJECT_ROOT / "tools/bench/sounds/real_sounds.txt").read_text("utf-8"))
 
-
 UNCHANGED = Method("unchanged", lambda sound, _rate: sound, limited=True)
 """A method whose vibration is its sound."""
 
 
 def sounds(*kinds):
-    rng = np.random.default_rng(3)
-    decay = np.exp(-np.arange(SAMPLERATE // 2) / 2_000.0)
+    rng, decay = np.random.default_rng(3), np.exp(-np.arange(SAMPLERATE // 2) / 2_000.0)
     made = {kind: 0.3 * decay * rng.standard_normal(decay.size) for kind in kinds}
-    return [RealSound(f"{kind}/made", kind, sound) for kind, sound in made.items()]
+    return [real_sounds.RealSound(f"{kind}/made", kind, sound) for kind, sound in made.items()]
 
 
-def test_the_list_asks_for_enough_sounds_of_every_class():
+def test_the_list_asks_for_enough_of_every_class_and_chooses_the_same_from_any_order():
     most = Counter[str]()
     for line in LIST:
         most[line.kind] += line.most
-    assert set(most) == set(KINDS)
+    assert set(most) == set(real_sounds.KINDS)
     assert min(most.values()) >= 20
     assert most.total() >= 190
-
-
-def test_a_line_chooses_the_same_few_files_from_any_order():
     line = Choice("shots", "game-data", 2, ("*/gun*.wav", "a.pk3:*.ogg"))
     paths = ["x/gun1.wav", "x/gun2.wav", "a.pk3:shot.ogg", "x/gun.ogg", "b.pk3:shot.ogg"]
     chosen = line.chosen(iter(paths))
@@ -62,8 +51,8 @@ def test_a_line_chooses_the_same_few_files_from_any_order():
 
 @given(st.sets(st.text("abcdef", min_size=1)))
 def test_halves_share_nothing_leave_nothing_out_and_are_as_large(names):
-    choose, report = (in_half([*names], half) for half in ("choose", "report"))
-    assert sorted(choose + report) == sorted(names) == in_half([*names], "all")
+    choose, report = (real_sounds.in_half([*names], half) for half in ("choose", "report"))
+    assert sorted(choose + report) == sorted(names) == real_sounds.in_half([*names], "all")
     assert len(choose) - len(report) in (0, 1)
 
 
@@ -142,37 +131,28 @@ def test_every_profile_has_every_row_and_only_paper_no_limit():
     assert unasked == {title for title in titles if "tone, worst" in title or "off -18" in title}
 
 
-def test_only_the_profile_for_speech_is_asked_the_limits_of_speech():
-    made = sounds("speech", "music")
-    asked = Method("speech", UNCHANGED.render, limited=True)
+def test_only_the_profile_for_speech_has_its_limits_and_every_third_word_is_20_db_softer():
+    made, asked = sounds("speech", "music"), Method("speech", UNCHANGED.render, limited=True)
     for method, wanted in ((asked, True), (UNCHANGED, False)):
         rows = list(felt_speech.speech_rows([method], made))
         assert len(rows) == 3
         assert all(bool(row.must) == wanted for row in rows)
-
-
-def test_soft_words_are_every_third_word_and_20_db_softer():
-    words = [np.ones(4_800) for _ in range(6)]
-    played, places = felt_speech.softened(words)
+    played, places = felt_speech.softened([np.ones(4_800) for _ in range(6)])
     assert [(place.start, place.stop) for place in places] == [(200, 300), (500, 600)]
     assert played[9_600:14_400] == pytest.approx(0.1)
     assert played.sum() == pytest.approx(4.2 * 4_800)
 
 
-def test_a_function_is_measured_as_any_method_and_a_wrong_name_is_refused():
-    assert function_method("numpy:negative").vibration(np.ones(3)) == pytest.approx(-1.0)
-    with pytest.raises(UsageError, match="no MODULE:FUNCTION"):
-        function_method("numpy:no_such_function")
-
-
-def test_other_methods_have_no_latency_and_the_null_model_no_change():
+def test_other_methods_have_no_latency_a_function_is_one_and_a_wrong_name_is_refused():
     onset = np.concatenate((np.zeros(SAMPLERATE), tone(150.0, 0.5, 1.0)))
     for method in other_methods():
-        vibration = method.vibration(onset)
-        assert vibration.size == onset.size
+        assert method.vibration(onset).size == onset.size
         assert not method.limited
     constant = other_methods()[0].vibration(onset)
     assert constant[:4_800] == pytest.approx(constant[48_000:52_800], abs=1e-9)
+    assert function_method("numpy:negative").vibration(np.ones(3)) == pytest.approx(-1.0)
+    with pytest.raises(UsageError, match="no MODULE:FUNCTION"):
+        function_method("numpy:no_such_function")
 
 
 def test_more_than_150_sounds_are_matched_only_where_no_value_is_chosen_on_them(monkeypatch):
@@ -184,12 +164,14 @@ def test_more_than_150_sounds_are_matched_only_where_no_value_is_chosen_on_them(
 
 
 def test_without_sounds_command_and_section_name_what_fetches_them(monkeypatch, tmp_path, capsys):
-    monkeypatch.setenv(SOUNDS_VARIABLE, str(tmp_path / "none"))
+    monkeypatch.setenv(real_sounds.SOUNDS_VARIABLE, str(tmp_path / "none"))
     assert films.main([]) == 2
-    assert SOUNDS_COMMAND in capsys.readouterr().err
+    assert real_sounds.SOUNDS_COMMAND in capsys.readouterr().err
     found = section.on_real_sounds(a_bench())
-    assert found.rows == ()
-    assert [gone.command for gone in found.missing] == [SOUNDS_COMMAND]
+    assert (found.rows, [gone.command for gone in found.missing]) == (
+        (),
+        [real_sounds.SOUNDS_COMMAND],
+    )
 
 
 def test_the_picture_is_drawn_from_the_sections_series():

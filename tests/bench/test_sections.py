@@ -71,20 +71,16 @@ def test_a_blocks_error_is_the_larger_one_over_its_own_peak():
     assert np.count_nonzero(errors) == 1
 
 
-def test_a_full_scale_tone_has_every_level_at_0_db():
+def test_a_full_scale_tone_has_every_level_at_0_db_and_the_loudest_tenth_is_a_short_loud_part_s():
     sound = tone(1_000, 1.0, SAMPLERATE)
     assert units_db(sound) == pytest.approx(np.zeros(21), abs=0.05)
     assert loudest_db(sound) == pytest.approx(0.0, abs=0.05)
-
-
-def test_the_loudest_tenth_is_that_of_a_short_loud_part():
     sound = joined(tone(300, 9.0, SAMPLERATE, 0.01), tone(300, 1.0, SAMPLERATE, 0.5))
     assert loudest_db(sound) == pytest.approx(-6.0, abs=0.2)
 
 
 def test_a_settled_sound_has_its_own_length_and_knows_what_was_played_before():
-    sound = tone(440, 0.7, SAMPLERATE, 0.05)
-    cinema = Way("cinema", parameters_of("cinema"))
+    sound, cinema = tone(440, 0.7, SAMPLERATE, 0.05), Way("cinema", parameters_of("cinema"))
     fresh, settled = cinema.settled(sound, 0.0), cinema.settled(sound, 8.0)
     assert fresh.size == settled.size == sound.size
     # The programme's level has moved, and a sound that goes on has no onset.

@@ -53,8 +53,7 @@ def test_hops_with_sound_are_counted_and_belief_is_that_of_the_live_form():
 
 @pytest.mark.exhaustive
 def test_without_recordings_the_rest_is_measured_and_what_is_missing_is_named():
-    empty = Workbench(QUICK, SUBJECTS, ())
-    found = speech_suppression.speech_suppression(empty)
+    found = speech_suppression.speech_suppression(Workbench(QUICK, SUBJECTS, ()))
     (gone,) = found.missing
     assert gone.command == RECORDINGS_COMMAND
     assert "recorded speech" in gone.name

@@ -40,11 +40,12 @@ class Room:
     errors: list[str] = field(default_factory=list)
 
     def open(self, width: int = 1280, theme: str = "dark") -> Page:
-        """Open the page and wait until it shows the daemon."""
+        """Open the page and its details, and wait until it shows the daemon."""
         page = open_page(self.chromium, self.monitor.address, width, theme)
         page.on("console", lambda said: self.complain(said.type, said.text))
         page.on("pageerror", lambda error: self.errors.append(str(error)))
         state(page, "Running", "Idle")
+        page.evaluate("document.getElementById('details').open = true")
         return page
 
     def complain(self, kind: str, text: str) -> None:

@@ -94,7 +94,7 @@ def test_words_and_figures_tell_what_plays(room, page):
         vibration = page.get_by_role("meter", name="Vibration all")
         assert "dBFS" in str(vibration.get_attribute("aria-valuetext"))
         assert re.fullmatch(r"\d+\.\d ms", page.inner_text("#delay"))
-        assert "The native engine plays" in page.inner_text("footer")
+        assert "The native engine plays" in page.inner_text("#engine")
         assert "Dropouts" in page.inner_text("#health")
         says(page, "#applications", "Film")
 
@@ -102,10 +102,10 @@ def test_words_and_figures_tell_what_plays(room, page):
 def test_the_page_says_why_the_python_engine_plays(room, page):
     with playing(room.server, "desktop", tone(TONE_HZ, 40.0)):
         page.get_by_role("radio", name="python").check()
-        says(page, "footer", "The python engine plays: engine = 'python'", 30.0)
+        says(page, "#engine", "The python engine plays: engine = 'python'", 30.0)
         says(page, "#parts", "Delay line", 30.0)
         page.click("#undo")
-        says(page, "footer", "The native engine plays", 30.0)
+        says(page, "#engine", "The native engine plays", 30.0)
 
 
 def test_a_control_moves_the_level_that_is_played_and_undo_returns_it(room, page, tmp_path):
@@ -120,10 +120,10 @@ def test_a_control_moves_the_level_that_is_played_and_undo_returns_it(room, page
         set_number(page, "gain_db", "-23")
         wait_for(lambda: settled_db(heard, before_db - 20.0), "20 dB less")
         assert is_unsaved(page, "gain_db")
-        page.click("#mute")
+        page.click("#power")
         wait_for(lambda: level_db(heard()) < -120.0, "silence")
-        assert page.inner_text("#state-word") == "Running, muted"
-        page.click("#mute")
+        assert page.inner_text("#state-word") == "Running, switched off"
+        page.click("#power")
         wait_for(lambda: settled_db(heard, before_db - 20.0), "the level as before")
         page.click("#undo")
         wait_for(lambda: settled_db(heard, before_db), "the first level")
@@ -140,21 +140,40 @@ def test_a_value_out_of_range_is_refused_beside_its_control(room, page):
     wait_for(lambda: not page.inner_text("#control-gain_db-error"), "no refusal")
 
 
+def number(page, key: str):
+    """The number of a control that stands beside its label."""
+    return page.locator(card(page, key)).locator("input[type=number]")
+
+
+def test_the_delay_is_automatic_until_a_number_is_chosen_and_again_by_its_button(page):
+    field = number(page, "offset_ms")
+    assert (field.get_attribute("placeholder"), field.input_value()) == ("Automatic", "")
+    set_number(page, "offset_ms", "120")
+    automatic = page.get_by_role("button", name="Delay: automatic")
+    wait_for(automatic.is_visible, "the way back")
+    assert field.input_value() == "120"
+    automatic.click()
+    wait_for(lambda: field.input_value() == "", "no number")
+    wait_for(lambda: not page.inner_text("#control-offset_ms-error"), "no refusal")
+    page.click("#undo")
+    page.click("#undo")
+
+
 def test_two_pages_show_each_others_changes_and_save_keeps_the_comments(room, page):
     other = room.open(390)
     set_number(page, "gain_db", "-9")
-    field = other.locator(card(other, "gain_db")).locator("input[type=number]")
+    field = number(other, "gain_db")
     wait_for(lambda: field.input_value() == "-9", "the other page's value")
     set_number(other, "gain_db", "-12")
-    mine = page.locator(card(page, "gain_db")).locator("output")
-    wait_for(lambda: mine.inner_text() == "-12 dB", "the last one's value")
+    mine = number(page, "gain_db")
+    wait_for(lambda: mine.input_value() == "-12", "the last one's value")
     assert room.config.read_text() == CONFIG
     other.click("#save")
     wait_for(lambda: "gain_db = -12" in room.config.read_text(), "the file")
     assert room.config.read_text() == CONFIG.replace("-3.0", "-12.0")
     page.click("#undo")
     page.click("#undo")
-    wait_for(lambda: mine.inner_text() == "-3 dB", "the first value")
+    wait_for(lambda: mine.input_value() == "-3", "the first value")
     page.click("#save")
     wait_for(lambda: room.config.read_text() == CONFIG, "the first file")
     other.context.close()
@@ -195,10 +214,74 @@ def test_an_application_is_left_out_and_included_again(room, page):
     with playing(room.server, "desktop", tone(TONE_HZ, 60.0), name="Film"):
         page.get_by_role("button", name="Leave out Film").click()
         page.get_by_role("button", name="Include Film").wait_for()
+        says(page, "#applications", "left out (left out in the config), not saved")
+        says(page, "#unsaved", "Not saved: Film")
         wait_for(lambda: not shown(page), "no vibration")
+        page.click("#save")
+        says(page, "#unsaved", "All is saved")
+        rule = '\n[[application]]\nmatch = "Film"\nfeel = false\n'
+        assert room.config.read_text() == CONFIG + rule
         page.get_by_role("button", name="Include Film").click()
         page.get_by_role("button", name="Leave out Film").wait_for()
         wait_for(lambda: shown(page), "vibration", 30.0)
+        page.click("#undo")
+        page.get_by_role("button", name="Include Film").wait_for()
+        page.click("#undo")
+        page.get_by_role("button", name="Leave out Film").wait_for()
+        page.click("#save")
+        wait_for(lambda: room.config.read_text() == CONFIG, "the first file")
+
+
+def test_the_menu_gives_an_application_its_profile_and_takes_it_back(room, page):
+    with playing(room.server, "desktop", tone(TONE_HZ, 60.0), name="Film"):
+        menu = page.get_by_role("combobox", name="Profile of Film")
+        menu.select_option("music")
+        says(page, "#applications", 'felt (rule "Film"), not saved')
+        says(page, "#engine", "Profile music", 30.0)
+        page.reload()
+        says(page, "#unsaved", "Not saved: Film")
+        wait_for(lambda: menu.input_value() == "music", "the rule after a reload")
+        page.evaluate("document.getElementById('details').open = true")
+        menu.select_option("Usual profile")
+        says(page, "#engine", "Profile cinema", 30.0)
+        says(page, "#unsaved", "All is saved")
+        assert room.config.read_text() == CONFIG
+
+
+def test_the_menu_of_an_application_is_used_by_the_keyboard(room, page):
+    focused = "document.activeElement.ariaLabel"
+    with playing(room.server, "desktop", tone(TONE_HZ, 60.0), name="Film"):
+        menu = page.get_by_role("combobox", name="Profile of Film")
+        choices = ["Usual profile", "Cinema", "Game", "Music", "Speech", "Paper"]
+        wait_for(lambda: menu.locator("option").all_inner_texts() == choices, "the choices")
+        menu.focus()
+        for choice in ("cinema", "game"):
+            page.keyboard.press("ArrowDown")
+            says(page, "#applications", 'felt (rule "Film"), not saved')
+            menu.locator(f"option[value={choice}]:checked").wait_for(state="attached")
+            wait_for(lambda: page.evaluate(focused) == "Profile of Film", "the focus")
+        for key in ("Space", "ArrowDown", "Enter"):  # in the open list
+            page.keyboard.press(key)
+            page.wait_for_timeout(300)
+        says(page, "#engine", "Profile music", 30.0)
+        assert page.evaluate(focused) == "Profile of Film"
+        assert menu.get_attribute("data-used") is None  # it may be redrawn
+        page.click("#undo")
+        wait_for(lambda: menu.input_value() == "game", "the rule before")
+        for _ in range(2):
+            page.click("#undo")
+        says(page, "#unsaved", "All is saved")
+
+
+@pytest.mark.parametrize("name", ["C: d", "Trailer [4K", "Trailer [4K]"])
+def test_an_application_of_any_name_is_left_out_and_named(room, page, name):
+    with playing(room.server, "desktop", tone(TONE_HZ, 60.0), name=name):
+        page.get_by_role("button", name=f"Leave out {name}").click()
+        page.get_by_role("button", name=f"Include {name}").wait_for()
+        says(page, "#unsaved", f"Not saved: {name}")
+        wait_for(lambda: not shown(page), "no vibration")
+        page.click("#undo")
+        says(page, "#unsaved", "All is saved")
 
 
 def test_a_test_tone_starts_and_stops(room, page, tmp_path):
@@ -219,13 +302,13 @@ def test_every_control_is_reached_and_used_by_the_keyboard(room, page):
         reached.append(page.evaluate("document.activeElement.id || document.activeElement.tagName"))
         if reached[-1] == "SUMMARY":
             break
-    controls = {"mute", "theme", "tone-hz", "tone", "control-gain_db", "control-offset_ms"}
+    controls = {"power", "theme", "sync", "control-gain_db", "control-profile", "control-offset_ms"}
     assert controls | {"SUMMARY"} <= set(reached)
-    page.focus("#mute")
+    page.focus("#power")
     page.keyboard.press("Enter")
-    wait_for(lambda: page.get_attribute("#mute", "aria-pressed") == "true", "mute")
+    wait_for(lambda: page.get_attribute("#power", "aria-checked") == "false", "switched off")
     page.keyboard.press("Space")
-    wait_for(lambda: page.get_attribute("#mute", "aria-pressed") == "false", "sound")
+    wait_for(lambda: page.get_attribute("#power", "aria-checked") == "true", "switched on")
 
 
 def test_everything_has_a_name_and_its_role(room, page):
@@ -238,13 +321,17 @@ def test_everything_has_a_name_and_its_role(room, page):
     assert nameless == []
 
 
-@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize("width", [320, 360, 390, 1280])
 def test_nothing_is_cut_off_at_any_width(room, width):
     page = room.open(width)
-    page.click("summary")
-    wide = page.evaluate("document.documentElement.scrollWidth")
+    wide = page.evaluate(
+        """[true, false].map((open) => {
+          document.getElementById("details").open = open;
+          return document.documentElement.scrollWidth;
+        })"""
+    )
     page.context.close()
-    assert wide <= width
+    assert max(wide) <= width
 
 
 def luminance(colour: str) -> float:
@@ -317,6 +404,7 @@ def test_a_browser_without_websockets_is_told(room):
 def test_the_sound_server_and_the_page_come_back(room, page):
     room.server.kill()
     says(page, "#state-word", "Waiting", 30.0)
+    assert page.is_disabled("#sync")
     room.server.start()
     state(page, "Running", "Idle")
     port = room.monitor.port
@@ -329,7 +417,7 @@ def test_the_sound_server_and_the_page_come_back(room, page):
 def test_a_daemon_that_restarts_is_shown_again(room, page):
     room.daemon.end()
     says(page, "#state-text", "no daemon is running; start one with `cushion run`", 30.0)
-    assert page.is_disabled("#mute")
+    assert page.is_disabled("#power")
     with running(room.server, device=None, engine=None) as daemon:
         state(page, "Running", "Idle")
         assert room.monitor.base in daemon.stderr

@@ -43,8 +43,7 @@ def offer_until_taken(recorder, frames, time_s, **options):
 def test_what_is_handed_over_arrives_bit_for_bit_through_many_turns_of_the_ring(tmp_path):
     random = np.random.default_rng(5)
     recorder = CaptureRecorder(CaptureWriter(tmp_path), capacity_samples=4_096)
-    handed = []
-    scratch = np.empty((512, 4), np.float32)
+    handed, scratch = [], np.empty((512, 4), np.float32)
     for number in range(1_000):
         shape = int(random.integers(0, 300)), 1 + number // 100 % 4
         frames = scratch[: shape[0], : shape[1]]  # the caller uses its memory again
@@ -62,8 +61,7 @@ def test_nothing_waits_and_what_finds_no_room_is_dropped_counted_and_marked_in_i
     writer = HeldWriter(tmp_path, streams=("tap", "effect"))
     recorder = CaptureRecorder(writer, capacity_samples=5 * 8)
     taken = [recorder.offer("tap", frames_of(number), 48_000, float(number)) for number in range(9)]
-    assert taken == [True] * 5 + [False] * 4
-    assert recorder.dropped("tap") == (4, 16)
+    assert (taken, recorder.dropped("tap")) == ([True] * 5 + [False] * 4, (4, 16))
     writer.go.set()
     number = 9
     while not recorder.offer("tap", frames_of(number), 48_000, float(number)):

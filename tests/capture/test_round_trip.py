@@ -50,7 +50,6 @@ def key(facts, samples):
 
 
 def written(folder, *deliveries, **options):
-    """Write a capture of some buffers and return its folder."""
     with CaptureWriter(folder, **options) as writer:
         for delivery in deliveries:
             deliver(writer, delivery)
@@ -113,8 +112,7 @@ def test_a_change_of_format_and_nothing_else_starts_a_segment(tmp_path):
 
 def test_two_readers_at_a_time_do_not_disturb_one_another_and_own_what_they_get(tmp_path):
     given_buffers = [Delivery(seed=seed, samplerate=1_000 * (seed // 2 + 1)) for seed in range(6)]
-    capture = Capture(written(tmp_path, *given_buffers))
-    found = []
+    capture, found = Capture(written(tmp_path, *given_buffers)), []
     for one, other in zip(capture.buffers(), capture.buffers(), strict=True):
         one.frames[:] = 0.0
         found.append(key(other, other.frames))
@@ -139,8 +137,7 @@ def test_the_index_is_what_the_format_says(tmp_path):
     fields = [json.loads(line) for line in lines]
     for line, found in zip(lines, fields, strict=True):
         assert int(found.pop("crc"), 16) == zlib.crc32(line[: line.rindex(b',"crc"')])
-    program = fields[0]["facts"].pop("program")
-    assert program.startswith("haptic-cushion ")
+    assert fields[0]["facts"].pop("program").startswith("haptic-cushion ")
     samples_crc = f"{zlib.crc32(Delivery().samples.tobytes()):08x}"
     assert fields == [
         {"kind": "capture", "format": "haptic-cushion capture", "version": 1}

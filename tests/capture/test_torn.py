@@ -16,16 +16,7 @@ import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from audioflinger_hook.capture import Capture, CaptureWriter
-from audioflinger_hook.capture.format import (
-    INDEX_NAME,
-    SAMPLES_OFFSET,
-    BufferRecord,
-    DroppedRecord,
-    EndRecord,
-    Header,
-    parse_line,
-)
+from audioflinger_hook.capture import Capture, CaptureWriter, format
 from device.errors import UsageError, WriteError
 from device.values import counted
 from tests.support.taps import noise
@@ -63,8 +54,7 @@ def read(folder, stream):
     capture = Capture(folder)
     buffers = list(capture.buffers(stream)) if stream in capture.streams else []
     found = [(buffer.time_s, buffer.samplerate, buffer.frames.tobytes()) for buffer in buffers]
-    marked = [buffer.time_s for buffer in buffers if buffer.discontinuity]
-    return found, marked, capture.warnings
+    return found, [buffer.time_s for buffer in buffers if buffer.discontinuity], capture.warnings
 
 
 @pytest.fixture(scope="module")
@@ -81,30 +71,29 @@ def small(tmp_path_factory):
 
 @pytest.fixture
 def damaged(small, tmp_path):
-    """A copy of `small` to be damaged."""
     return Path(shutil.copytree(small, tmp_path / "damaged"))
 
 
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(INDEX_NAME, marks=pytest.mark.exhaustive),
+        pytest.param(format.INDEX_NAME, marks=pytest.mark.exhaustive),
         *("tap-0001.wav", "tap-0002.wav", "effect-0001.wav"),
     ],
 )
 def test_a_file_cut_anywhere_gives_the_buffers_that_are_whole(damaged, name):
-    if name == INDEX_NAME:
+    if name == format.INDEX_NAME:
         after = np.cumsum([len(line) + 1 for line in (damaged / name).read_bytes().splitlines()])
         shortest, *whole_from = (after - 1).tolist()  # a line is whole without its line break
         ends = dict(enumerate(whole_from))
     else:
         stream_and_rate = (name[:-9], 44_100 if name[-5] == "2" else 48_000)
         mine = [n for n in EVERYTHING if (SMALL[n][0], SMALL[n][2]) == stream_and_rate]
-        after = SAMPLES_OFFSET + np.cumsum([4 * SMALL[n][1] * SMALL[n][3] for n in mine])
+        after = format.SAMPLES_OFFSET + np.cumsum([4 * SMALL[n][1] * SMALL[n][3] for n in mine])
         shortest, ends = 0, dict(zip(mine, after, strict=True))
     for size in range((damaged / name).stat().st_size, shortest - 1, -1):
         os.truncate(damaged / name, size)
-        stream = STREAMS[size % 2] if name == INDEX_NAME else name[:-9]
+        stream = STREAMS[size % 2] if name == format.INDEX_NAME else name[:-9]
         whole = [n for n in EVERYTHING if ends.get(n, 0) <= size]
         found, marked, warnings = read(damaged, stream)
         assert found == expected(whole, stream)
@@ -114,8 +103,7 @@ def test_a_file_cut_anywhere_gives_the_buffers_that_are_whole(damaged, name):
         assert recovered in warnings[-1]
         # Only the first buffer after a gap is a discontinuity.
         before = dict(zip(mine[1:], mine, strict=False))
-        after_gap = [n for n in mine if n in whole and before.get(n, n) not in [*whole, n]]
-        assert marked == after_gap
+        assert marked == [n for n in mine if n in whole and before.get(n, n) not in [*whole, n]]
 
 
 @given(st.data())
@@ -123,15 +111,14 @@ def test_a_file_cut_anywhere_gives_the_buffers_that_are_whole(damaged, name):
 def test_index_and_segments_cut_together_give_a_sound_beginning(small, tmp_path_factory, data):
     folder = tmp_path_factory.mktemp("cut") / "c"
     shutil.copytree(small, folder)
-    first_line = len((folder / INDEX_NAME).read_bytes().splitlines()[0])
+    first_line = len((folder / format.INDEX_NAME).read_bytes().splitlines()[0])
     for path in sorted(folder.iterdir()):
-        least = first_line if path.name == INDEX_NAME else 0
+        least = first_line if path.name == format.INDEX_NAME else 0
         os.truncate(path, data.draw(st.integers(least, path.stat().st_size)))
     for stream in STREAMS:
         found, _, warnings = read(folder, stream)
         kept = [int(time_s) for time_s, *_ in found]
-        assert found == expected(kept, stream)
-        assert kept == sorted(set(kept))
+        assert (found, kept) == (expected(kept, stream), sorted(set(kept)))
         assert any("was cut off" in text for text in warnings)
 
 
@@ -219,7 +206,7 @@ def test_a_write_that_fails_anywhere_leaves_what_was_acknowledged(tmp_path, monk
             assert found == expected(acknowledged, stream)
             assert ["was cut off" in text for text in warnings] == [True]
         for path in folder.glob("*.wav"):
-            assert (path.stat().st_size - SAMPLES_OFFSET) % 4 == 0
+            assert (path.stat().st_size - format.SAMPLES_OFFSET) % 4 == 0
 
 
 @SHARES
@@ -287,7 +274,7 @@ def flipped(path, offset):
 
 @pytest.mark.exhaustive
 def test_any_damaged_byte_of_the_index_costs_at_most_the_buffers_of_its_lines(damaged):
-    index = damaged / INDEX_NAME
+    index = damaged / format.INDEX_NAME
     for offset in range(index.stat().st_size):
         with flipped(index, offset):
             stream = STREAMS[offset // 8 % 2]
@@ -302,7 +289,7 @@ def test_any_damaged_byte_of_the_index_costs_at_most_the_buffers_of_its_lines(da
 
 
 def test_lines_that_vanish_or_are_overwritten_are_a_gap_with_a_warning(damaged):
-    index = damaged / INDEX_NAME
+    index = damaged / format.INDEX_NAME
     lines = index.read_bytes().splitlines(keepends=True)
     for replacement in [b"", b"\0" * 400, b"\n\n", b"x" * 500_000 + b"\n", b'{"kind":1}\n']:
         index.write_bytes(b"".join([*lines[:3], replacement, *lines[5:]]))
@@ -315,8 +302,12 @@ def test_lines_that_vanish_or_are_overwritten_are_a_gap_with_a_warning(damaged):
         assert "first before buffer 3" in warnings[0]
 
 
-WHOLE = BufferRecord("tap", 0, 1, 0, 3, 48_000, 2, 0.0, False, "00000000")
-END, DROPPED, HEADER = EndRecord({"tap": 1}), DroppedRecord("tap", 1, 0), Header(streams=["tap"])
+WHOLE = format.BufferRecord("tap", 0, 1, 0, 3, 48_000, 2, 0.0, False, "00000000")
+END, DROPPED, HEADER = (
+    format.EndRecord({"tap": 1}),
+    format.DroppedRecord("tap", 1, 0),
+    format.Header(streams=["tap"]),
+)
 
 
 @pytest.mark.parametrize(
@@ -330,14 +321,13 @@ END, DROPPED, HEADER = EndRecord({"tap": 1}), DroppedRecord("tap", 1, 0), Header
     ],
 )
 def test_a_line_that_no_recorder_writes_is_damaged(record: Any, name: str, value: object) -> None:
-    assert parse_line(record.line()) == record
-    assert parse_line(replace(record, **{name: value}).line()) is None
+    assert format.parse_line(record.line()) == record
+    assert format.parse_line(replace(record, **{name: value}).line()) is None
 
 
 def test_a_damaged_first_line_costs_no_buffer(damaged):
-    index = damaged / INDEX_NAME
-    content = index.read_bytes()
-    index.write_bytes(b"?" + content[1:])
+    index = damaged / format.INDEX_NAME
+    index.write_bytes(b"?" + index.read_bytes()[1:])
     for stream in STREAMS:
         found, _, warnings = read(damaged, stream)
         assert found == expected(EVERYTHING, stream)
@@ -350,10 +340,9 @@ def test_changed_samples_are_not_given_as_those_recorded(damaged):
         with flipped(path, offset):
             found, marked, warnings = read(damaged, "tap")
         changed = None
-        if offset >= SAMPLES_OFFSET:
-            changed = 0 if offset < SAMPLES_OFFSET + 24 else 3
-        kept = [number for number in EVERYTHING if number != changed]
-        assert found == expected(kept, "tap")
+        if offset >= format.SAMPLES_OFFSET:
+            changed = 0 if offset < format.SAMPLES_OFFSET + 24 else 3
+        assert found == expected([number for number in EVERYTHING if number != changed], "tap")
         assert marked == {None: [], 0: [2.0], 3: [5.0]}[changed]
         assert len(warnings) == (1 if changed is None else 2)
 
@@ -377,7 +366,7 @@ def test_a_folder_or_a_pipe_in_place_of_a_segment_is_refused(damaged):
 
 
 def test_a_huge_index_without_line_breaks_takes_no_memory(tmp_path):
-    (tmp_path / INDEX_NAME).write_bytes(b'{"kind"' * 2_000_000)
+    (tmp_path / format.INDEX_NAME).write_bytes(b'{"kind"' * 2_000_000)
     tracemalloc.start()
     with pytest.raises(UsageError, match="not a capture"):
         Capture(tmp_path)
@@ -388,9 +377,9 @@ def test_a_huge_index_without_line_breaks_takes_no_memory(tmp_path):
 
 @pytest.mark.parametrize("index", [None, b"", b'{"kind":"capture","for', b"\0" * 5_000])
 def test_without_an_index_the_segments_are_read_in_order_with_a_warning(damaged, index):
-    (damaged / INDEX_NAME).unlink()
+    (damaged / format.INDEX_NAME).unlink()
     if index is not None:
-        (damaged / INDEX_NAME).write_bytes(index)
+        (damaged / format.INDEX_NAME).write_bytes(index)
     found, _, (warning,) = read(damaged, "tap")
     assert [facts for *facts, _ in found] == [[0.0, 48_000], [5 / 48_000, 44_100]]
     whole = b"".join(content for *_, content in expected(EVERYTHING, "tap"))
@@ -402,22 +391,21 @@ def test_without_an_index_the_segments_are_read_in_order_with_a_warning(damaged,
 def test_without_an_index_long_segments_come_in_buffers_of_the_stated_size(tmp_path):
     with CaptureWriter(tmp_path) as writer:
         writer.write_buffer("tap", noise(2_500, 1), 1_000, 77.0)
-    (tmp_path / INDEX_NAME).unlink()
+    (tmp_path / format.INDEX_NAME).unlink()
     found = [(len(buffer.frames), buffer.time_s) for buffer in Capture(tmp_path).buffers()]
     assert found == [(1_024, 0.0), (1_024, 1.024), (452, 2.048)]
 
 
 def test_without_an_index_a_torn_last_segment_ends_with_its_last_whole_buffer(damaged):
-    (damaged / INDEX_NAME).unlink()
+    (damaged / format.INDEX_NAME).unlink()
     with (damaged / "tap-0002.wav").open("ab") as file:
         file.write(bytes(11))  # a piece of a buffer: two frames and a bit
     (damaged / "tap-0003.wav").write_bytes(b"RIFF")  # and a segment that had hardly begun
-    shapes = [buffer.frames.shape for buffer in Capture(damaged).buffers()]
-    assert shapes == [(5, 2), (5, 1)]
+    assert [buffer.frames.shape for buffer in Capture(damaged).buffers()] == [(5, 2), (5, 1)]
 
 
 def test_without_an_index_a_missing_segment_is_refused_as_ambiguous(damaged):
-    (damaged / INDEX_NAME).unlink()
+    (damaged / format.INDEX_NAME).unlink()
     (damaged / "tap-0001.wav").unlink()
     with pytest.raises(UsageError, match=r"lost index.jsonl and tap-0001.wav: .* one by one"):
         read(damaged, "tap")
@@ -429,12 +417,12 @@ def test_without_an_index_a_segment_of_no_capture_is_refused_and_not_guessed(dam
         with pytest.raises(UsageError, match=rf"{name} is not as a capture writes it"):
             read(damaged, "tap")
 
-    (damaged / INDEX_NAME).unlink()
-    for offset in range(SAMPLES_OFFSET):
+    (damaged / format.INDEX_NAME).unlink()
+    for offset in range(format.SAMPLES_OFFSET):
         with flipped(damaged / "tap-0002.wav", offset):
             refused("tap-0002.wav")
     for subtype in ("PCM_16", "FLOAT"):
         soundfile.write(damaged / "tap-0002.wav", np.zeros((100, 1)), 44_100, subtype)
         refused("tap-0002.wav")
-    os.truncate(damaged / "tap-0001.wav", SAMPLES_OFFSET - 1)  # only the last may be torn
+    os.truncate(damaged / "tap-0001.wav", format.SAMPLES_OFFSET - 1)  # only the last may be torn
     refused("tap-0001.wav")

@@ -75,8 +75,7 @@ def test_a_run_that_is_killed_or_interrupted_loses_nothing_and_the_next_goes_on(
     run = ("catalogue", sounds, "--out", out, "--workers", 2, "--json")
     with start(*run, start_new_session=True) as process:
         after_some_work(process, out, draw)
-        helpers = psutil.Process(process.pid).children(recursive=True)
-        before = finished(out)
+        helpers, before = psutil.Process(process.pid).children(recursive=True), finished(out)
         if harm == "workers":
             victims = workers_of(process)
             for victim in draw.sample(victims, min(len(victims), draw.choice((1, 1, 2)))):
@@ -102,8 +101,7 @@ def test_a_run_that_is_killed_or_interrupted_loses_nothing_and_the_next_goes_on(
     assert len([name for name in results(out) if name[0] != "."]) - len(kept) <= 2
     done = call("catalogue", sounds, "--out", out, "--workers", 1, "--json")
     assert (done.code, done.stderr) == (0, "")
-    assert json.loads(done.stdout)["skipped"] == len(kept)
-    assert results(out) == expected
+    assert (json.loads(done.stdout)["skipped"], results(out)) == (len(kept), expected)
     assert kept.items() <= finished(out).items()
 
 
@@ -133,13 +131,10 @@ def test_an_item_that_ends_its_worker_fails_alone(tmp_path):
     assert "its worker died 2 times" in done.stderr
     found = json.loads(done.stdout)
     assert (found["rendered"] + found["skipped"], found["failed"]) == (7, 1)
-    assert [row["id"] for row in rows(out / "failed.jsonl")] == ["s03"]
-    assert len(results(out)) == 7
+    assert ([row["id"] for row in rows(out / "failed.jsonl")], len(results(out))) == (["s03"], 7)
 
 
 class Cluster(contextlib.ExitStack):
-    """A Dask scheduler and two workers, each in a separate process."""
-
     def __init__(self, folder):
         super().__init__()
         self._options = f"--nthreads 1 --no-nanny --no-dashboard --local-directory {folder}"
@@ -208,8 +203,7 @@ def test_a_local_dask_cluster_gives_the_same_bytes(sounds, expected, tmp_path):
     out = tmp_path / "out"
     options = ("--out", out, "--dask", "local", "--workers", 2)
     done = cushion("catalogue", sounds, *options, warnings="default")
-    assert (done.code, done.stderr) == (0, "")
-    assert results(out) == expected
+    assert (done.code, done.stderr, results(out)) == (0, "", expected)
 
 
 def test_a_scheduler_that_is_not_there_is_an_error_of_one_line(sounds, tmp_path, monkeypatch):

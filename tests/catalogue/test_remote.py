@@ -9,7 +9,7 @@ import pytest
 
 from audioflinger_hook.catalogue.addresses import scrubbed
 from tests.support.catalogues import expected, library, manifest, results
-from tests.support.commands import call, cushion
+from tests.support.commands import call, cushion, refused
 
 SIGNED = "https://user:hidden1@host/a.wav?X-Amz-Credential=hidden2&X-Amz-Signature=hidden3#hidden4"
 
@@ -17,11 +17,8 @@ SIGNED = "https://user:hidden1@host/a.wav?X-Amz-Credential=hidden2&X-Amz-Signatu
 @pytest.mark.parametrize(
     "arguments",
     [
-        (SIGNED, "--out", "o"),
-        ("list.jsonl", "--out", "o"),
-        ("list.csv", "--out", "o"),
-        ("in", "--out", SIGNED),
-        ("in", "--out", "s3://hidden5:hidden6@bucket/x"),
+        *((SIGNED, "--out", "o"), ("list.jsonl", "--out", "o"), ("list.csv", "--out", "o")),
+        *(("in", "--out", SIGNED), ("in", "--out", "s3://hidden5:hidden6@bucket/x")),
         ("in", "--out", "o", "--dask", "tls://me:hidden7@127.0.0.1:1"),
     ],
 )
@@ -69,25 +66,20 @@ def test_without_fsspec_local_paths_work_and_urls_name_the_extra(tmp_path, monke
         (("s3://bucket/x", "--out", tmp_path / "o"), "remote"),
         ((folder, "--out", tmp_path / "o", "--dask", "local"), "cluster"),
     ):
-        done = call("catalogue", *arguments)
-        assert done.code == 2
-        assert done.stderr.count("\n") == 1
-        assert f"haptic-cushion[{extra}]" in done.stderr
+        assert f"haptic-cushion[{extra}]" in refused(call("catalogue", *arguments))
 
 
 def test_a_storage_without_whole_uploads_gets_a_new_name_last(tmp_path, monkeypatch):
     from fsspec.implementations.local import LocalFileSystem
 
-    seen = []
-    put_file = LocalFileSystem.put_file
+    seen, put_file = [], LocalFileSystem.put_file
 
     def watched(self, source, target, *arguments, **options):
         seen.append(os.path.basename(target))  # noqa: PTH119
         return put_file(self, source, target, *arguments, **options)
 
     monkeypatch.setattr(LocalFileSystem, "put_file", watched)
-    folder = library(tmp_path / "in", 2)
-    out = f"local://{tmp_path}/out"
+    folder, out = library(tmp_path / "in", 2), f"local://{tmp_path}/out"
     for state in ("rendered", "skipped"):
         done = call("catalogue", folder, "--out", out, "--workers", 1, "--json")
         assert json.loads(done.stdout)[state] == 2

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.catalogue import recipe as recipes
 from audioflinger_hook.catalogue import storage, work
+from audioflinger_hook.catalogue.timing import StorageError
 from audioflinger_hook.exports.options import FORMATS
 from tests.support.catalogues import LOW_RATE, library, manifest, record, results, rows
 from tests.support.commands import call, noise, refused, sound, start, vibration
@@ -21,30 +22,25 @@ from tests.support.commands import call, noise, refused, sound, start, vibration
 
 @pytest.fixture(scope="module")
 def sounds(tmp_path_factory):
-    """A library of six sounds."""
     return library(tmp_path_factory.mktemp("library") / "in", 6)
 
 
 @pytest.fixture(scope="module")
 def expected(sounds, tmp_path_factory):
-    """The bytes that `render` writes for each of them."""
     folder = tmp_path_factory.mktemp("alone")
     return {source.name: rendered_alone(folder, source) for source in sorted(sounds.iterdir())}
 
 
 def rendered_alone(folder, source, *options):
-    """Return the bytes that `render` writes for a sound."""
     assert call("render", source, folder / "alone.wav", *options).code == 0
     return (folder / "alone.wav").read_bytes()
 
 
 def told(sounds, out, *options):
-    """Run `cushion catalogue` in this process."""
     return call("catalogue", sounds, "--out", out, "--workers", 1, *options)
 
 
 def run(sounds, out, *options):
-    """Run `cushion catalogue` in this process and return its summary and exit code."""
     done = told(sounds, out, "--json", *options)
     return json.loads(done.stdout), done.code
 
@@ -52,11 +48,9 @@ def run(sounds, out, *options):
 def test_every_sound_of_a_folder_becomes_what_render_makes_of_it(sounds, expected, tmp_path):
     out = tmp_path / "out"
     done = told(sounds, out)
-    assert (done.code, done.stderr) == (0, "")
-    assert results(out) == expected
+    assert (done.code, done.stderr, results(out)) == (0, "", expected)
     found = record(out, "s00.wav")
-    assert found["frames"] == 2_000
-    assert found["bytes"] == len(expected["s00.wav"])
+    assert (found["frames"], found["bytes"]) == (2_000, len(expected["s00.wav"]))
     assert found["seconds"] > 0.0
     assert found["host"]
     assert {"peak", "leak_above_250_hz_db", "exposure_a8_m_s2", "key"} <= found.keys()
@@ -78,8 +72,7 @@ def test_bytes_do_not_depend_on_order_shards_workers_or_interruptions(
     listed = manifest(folder / "list.jsonl", *lines)
     for stop in stops:  # a run that ends at a missing file, as an interruption would end it
         broken = [*lines[:stop], {"audio": "gone.wav"}, *lines[stop:]]
-        part = manifest(folder / "part.jsonl", *broken)
-        _, code = run(part, out, "--max-failures", 0)
+        _, code = run(manifest(folder / "part.jsonl", *broken), out, "--max-failures", 0)
         assert code == 2
     for shard in range(shards, 0, -1):
         share = f"{shard}/{shards}"
@@ -121,8 +114,7 @@ def test_a_result_not_whole_or_without_record_is_rendered_again(sounds, expected
     out = tmp_path / "out"
     run(sounds, out)
     DAMAGES[damage](out / "s01.wav", out / "s01.wav.json")
-    assert run(sounds, out)[0]["rendered"] == 1
-    assert results(out) == expected
+    assert (run(sounds, out)[0]["rendered"], results(out)) == (1, expected)
 
 
 def test_copies_are_known_by_their_bytes(sounds, tmp_path):
@@ -149,8 +141,7 @@ def test_a_result_without_its_own_record_is_not_taken(sounds, expected, tmp_path
         patch.setattr(work, "_write_record", Mock(side_effect=KeyboardInterrupt))
         assert told(sounds, out, "--profile", "cinema").code == 130
     assert results(out) != expected
-    assert run(sounds, out)[0]["rendered"] == 1
-    assert results(out) == expected
+    assert (run(sounds, out)[0]["rendered"], results(out)) == (1, expected)
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -176,8 +167,7 @@ def test_results_of_another_version_are_made_anew(sounds, expected, tmp_path, mo
     monkeypatch.setattr(work, "VERSION", "0.0")
     assert run(sounds, out)[0]["rendered"] == 6
     monkeypatch.undo()
-    assert run(sounds, out)[0]["rendered"] == 6
-    assert results(out) == expected
+    assert (run(sounds, out)[0]["rendered"], results(out)) == (6, expected)
 
 
 def test_a_worker_of_another_version_stops_the_run(sounds, tmp_path, monkeypatch):
@@ -226,8 +216,7 @@ def test_a_result_never_replaces_the_sound_that_it_is_made_of(tmp_path):
 def test_a_failed_item_keeps_everything_that_its_line_said(tmp_path):
     line = {"audio": "gone.mkv", "id": "x/y", "start_s": 1.5, "duration_s": 2.0}
     line |= {"channels": [0, 1], "profile": "cinema", "track": 2, "language": "fra"}
-    listed = manifest(tmp_path / "list.jsonl", line)
-    assert run(listed, tmp_path / "out")[1] == 2
+    assert run(manifest(tmp_path / "list.jsonl", line), tmp_path / "out")[1] == 2
     (row,) = rows(tmp_path / "out/failed.jsonl")
     assert {name: row[name] for name in line} == line | {"audio": str(tmp_path / "gone.mkv")}
 
@@ -248,8 +237,7 @@ def test_a_part_of_a_sound_becomes_what_render_makes_of_that_part(tmp_path, kind
     assert run(manifest(tmp_path / "list.jsonl", *lines), tmp_path / "out")[1] == 0
     for number, (_, frames) in enumerate(parts):
         part = sound(tmp_path / "part.wav", samples[frames], LOW_RATE)
-        made = (tmp_path / f"out/{number}.wav").read_bytes()
-        assert made == rendered_alone(tmp_path, part)
+        assert (tmp_path / f"out/{number}.wav").read_bytes() == rendered_alone(tmp_path, part)
 
 
 def test_channels_and_profile_are_chosen_for_each_item(tmp_path):
@@ -274,8 +262,7 @@ def test_a_part_that_is_not_there_fails(tmp_path):
     sound(tmp_path / "a.wav", noise(2_000), LOW_RATE)
     lines = ({"audio": "a.wav", "id": "late", "start_s": 60.0}, {"audio": "a.wav", "channels": 7})
     done = told(manifest(tmp_path / "list.jsonl", *lines), tmp_path / "out")
-    assert done.code == 2
-    assert done.stderr.count("is not in the sound") == 2
+    assert (done.code, done.stderr.count("is not in the sound")) == (2, 2)
     assert results(tmp_path / "out") == {}
 
 
@@ -306,9 +293,7 @@ def test_a_full_disk_ends_the_run_and_the_next_one_goes_on(sounds, expected, tmp
     assert done.code == 5
     assert "No space left" in done.stderr
     assert "run the same command again" in done.stderr
-    assert len(results(out)) == 2
-    assert run(sounds, out)[1] == 0
-    assert results(out) == expected
+    assert (len(results(out)), run(sounds, out)[1], results(out)) == (2, 0, expected)
 
 
 def test_i_o_is_repeated_and_nothing_else(sounds, tmp_path, monkeypatch):
@@ -326,8 +311,7 @@ def test_i_o_is_repeated_and_nothing_else(sounds, tmp_path, monkeypatch):
     folder = shutil.copytree(sounds, tmp_path / "in")
     (folder / "x.flac").write_text("no sound")
     found, code = run(folder, tmp_path / "out")
-    assert (found["rendered"], found["failed"], code) == (6, 1, 2)
-    assert waits == [0.5, 1.5]
+    assert (found["rendered"], found["failed"], code, waits) == (6, 1, 2, [0.5, 1.5])
 
 
 def test_two_runs_into_one_folder_work_together(sounds, expected, tmp_path):
@@ -337,8 +321,7 @@ def test_two_runs_into_one_folder_work_together(sounds, expected, tmp_path):
         with process:
             assert process.communicate(timeout=60)[1] == ""
             assert process.returncode == 0
-    assert results(out) == expected
-    assert run(sounds, out)[0]["skipped"] == 6
+    assert (results(out), run(sounds, out)[0]["skipped"]) == (expected, 6)
 
 
 def test_status_counts_what_is_done_outdated_missing_and_unreadable(sounds, tmp_path):
@@ -348,12 +331,22 @@ def test_status_counts_what_is_done_outdated_missing_and_unreadable(sounds, tmp_
         sound(folder / name, noise(500), LOW_RATE)
     lines = [{"audio": str(path), "id": path.stem} for path in folder.iterdir()]
     listed = manifest(tmp_path / "list.jsonl", *lines, {"audio": "gone.wav"})
-    before = results(out)
-    done = call("catalogue", "status", listed, "--out", out, "--json")
+    before, done = results(out), call("catalogue", "status", listed, "--out", out, "--json")
     assert done.code == 0
     found = json.loads(done.stdout)
     assert found == {"items": 8, "done": 5, "outdated": 1, "missing": 1, "unreadable": 1}
     assert results(out) == before
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [(PermissionError(errno.EACCES, "Permission denied"), 2), (StorageError("it is down"), 5)],
+)
+def test_status_says_that_results_cannot_be_read(sounds, tmp_path, monkeypatch, error, code):
+    monkeypatch.setattr(storage.LocalStorage, "read", Mock(side_effect=error))
+    monkeypatch.setattr("time.sleep", lambda _: None)
+    said = refused(call("catalogue", "status", sounds, "--out", tmp_path / "out"), code)
+    assert "cannot be read (Permission denied)" in said or "it is down" in said
 
 
 def test_the_report_is_one_page_with_a_picture_of_each_item(tmp_path):
@@ -364,8 +357,7 @@ def test_the_report_is_one_page_with_a_picture_of_each_item(tmp_path):
         done = told(folder, tmp_path / "out", "--report", page)
         assert done.code == 2
         text = (page / "index.html").read_text()
-        assert text.count("<figure") == 6
-        assert text.count("<svg") == 5
+        assert (text.count("<figure"), text.count("<svg")) == (6, 5)
         assert "silence" in text
         assert "&lt;bad&gt;" in text
         assert "<bad>" not in text

@@ -41,7 +41,6 @@ def store(server, tmp_path, request):
 
 
 def remote_results(files, folder):
-    """Return the results in a folder of the bucket."""
     names = [name for name in files.find(folder) if not name.endswith((".json", ".jsonl"))]
     return {name.removeprefix(f"{folder}/"): files.cat_file(name) for name in names}
 
@@ -50,22 +49,19 @@ def test_sounds_and_results_in_s3_have_the_bytes_of_local_ones(store, tmp_path):
     _, _, files, folder, local = store
     arguments = ("catalogue", f"s3://{folder}/in", "--out", f"s3://{folder}/out", "--json")
     done = call(*arguments, "--workers", 1)
-    assert (done.code, done.stderr) == (0, "")
-    assert json.loads(done.stdout)["rendered"] == 4
+    assert (done.code, done.stderr, json.loads(done.stdout)["rendered"]) == (0, "", 4)
     assert remote_results(files, f"{folder}/out") == expected(local, tmp_path)
     assert json.loads(call(*arguments, "--workers", 1).stdout)["skipped"] == 4
     files.pipe(f"{folder}/out/s01.wav", b"other")
     files.pipe(f"{folder}/in/s02.wav", files.cat_file(f"{folder}/in/s03.wav"))
     assert json.loads(call(*arguments, "--workers", 1).stdout)["rendered"] == 2
-    status = call("catalogue", "status", *arguments[1:])
-    assert json.loads(status.stdout)["done"] == 4
+    assert json.loads(call("catalogue", "status", *arguments[1:]).stdout)["done"] == 4
 
 
 def test_worker_processes_reach_the_storage_by_themselves(store, tmp_path):
     _, env, files, folder, local = store
     lines = [{"audio": f"s3://{folder}/in/s{n:02d}.wav"} for n in range(4)]
-    listed = manifest(tmp_path / "l.jsonl", *lines)
-    out = f"s3://{folder}/out"
+    listed, out = manifest(tmp_path / "l.jsonl", *lines), f"s3://{folder}/out"
     done = cushion("catalogue", listed, "--out", out, "--workers", 2, env=env)
     assert (done.code, done.stderr) == (0, "")
     found = remote_results(files, f"{folder}/out")
@@ -83,8 +79,7 @@ def test_a_storage_that_fails_a_while_loses_nothing(store, tmp_path, monkeypatch
     application.fails = lambda verb, path: verb == method and path.endswith(".wav")
     out = f"{folder}/{method}{len(failures)}"
     done = call("catalogue", f"s3://{folder}/in", "--out", f"s3://{out}", "--workers", 1)
-    assert (done.code, done.stderr) == (0, "")
-    assert application.failures == []
+    assert (done.code, done.stderr, application.failures) == (0, "", [])
     assert 0.5 in waits
     assert remote_results(files, out) == expected(local, tmp_path)
 
@@ -94,8 +89,7 @@ def test_a_storage_that_stays_broken_fails_items_and_shows_no_credentials(store,
     monkeypatch.setattr("time.sleep", lambda seconds: None)
     application.failures[:] = [403] * 1_000
     application.fails = lambda method, path: "/in/" in path and path.endswith(".wav")
-    listed = json.dumps({"audio": f"s3://{folder}/in/s00.wav"})
-    files.pipe(f"{folder}/list.jsonl", listed.encode())
+    files.pipe(f"{folder}/list.jsonl", json.dumps({"audio": f"s3://{folder}/in/s00.wav"}).encode())
     out = f"s3://{folder}/out"
     done = call("catalogue", f"s3://{folder}/list.jsonl", "--out", out, "--workers", 1, "--debug")
     assert done.code == 2

@@ -17,6 +17,5 @@ def config(tmp_path):
 
 @pytest.fixture
 def folder(tmp_path):
-    """An empty folder for what is made."""
     (tmp_path / "out").mkdir()
     return tmp_path / "out"

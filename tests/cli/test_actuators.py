@@ -17,7 +17,6 @@ from tests.support.signals import columns, tone
 
 @pytest.fixture
 def stereo(tmp_path):
-    """Sound whose left is a tone and whose right is another, of one second."""
     left, right = tone(110.0, 1.0, RATE, 0.4), tone(400.0, 1.0, RATE, 0.2)
     return sound(tmp_path / "in.wav", columns(left, right))
 
@@ -41,10 +40,8 @@ def test_each_channel_has_its_level_polarity_and_delay_and_others_silence(tmp_pa
     )
     report = rendered(stereo, out, "--config", config(text))
     wanted, got = vibration(each), vibration(out)
-    assert got.shape == (RATE, 4)
-    assert report["channels"] == 4
-    late = round(0.02 * RATE)
-    quieter = 10.0 ** (-12.0 / 20.0) * wanted[:, 1].astype(float)
+    assert (got.shape, report["channels"]) == ((RATE, 4), 4)
+    late, quieter = round(0.02 * RATE), 10.0 ** (-12.0 / 20.0) * wanted[:, 1].astype(float)
     np.testing.assert_allclose(got[:, 0], quieter, atol=1e-7)  # float32 below 1
     assert np.array_equal(got[:, 3], got[:, 0])
     assert not got[:, 1].any()
@@ -102,8 +99,7 @@ def test_what_cannot_be_is_one_line_and_leaves_no_file(tmp_path, config, stereo)
         (TWO_SHAKERS, ("--channels", "each"), "'each' cannot be used with .*actuator"),
         (TWO_SHAKERS.replace("[1]", "[0]"), (), r"line 7: actuator\[2\].channels = \[0\] wants"),
     ):
-        path = config(text)
-        done = call("render", stereo, tmp_path / "out.wav", "--config", path, *options)
+        done = call("render", stereo, tmp_path / "out.wav", "--config", config(text), *options)
         assert re.search(words, refused(done))
         assert listing(tmp_path).keys() == {"in.wav", "config.toml"}
 

@@ -3,6 +3,7 @@
 import contextlib
 import importlib
 import os
+import re
 import struct
 import subprocess
 import sys
@@ -36,7 +37,6 @@ READERS = ["render", "inspect"]
 
 @pytest.fixture
 def source(tmp_path):
-    """A fifth of a second of sound that nothing is wrong with."""
     return sound(tmp_path / "in.wav", noise(9_600, 2))
 
 
@@ -49,7 +49,6 @@ def out(folder):
 
 
 def read_by(command, path, out):
-    """Run one of READERS on a file."""
     return call(command, path, out) if command == "render" else call(command, path)
 
 
@@ -92,22 +91,6 @@ def test_what_is_no_sound_is_refused_with_the_reason(tmp_path, out, capfd, comma
     assert capfd.readouterr() == ("", "")  # nor do libraries say anything past the command
 
 
-def test_nan_infinity_and_absurd_samples_count_as_0_one_by_one(tmp_path, out):
-    samples = noise(9_600, 2)
-    places = [(10, 0), (10, 1), (500, 0), (501, 1), (2_000, 0), (9_599, 1)]
-    absurd = [np.nan, np.inf, -np.inf, 1e30, -1e30, 1_000.1]
-    for place in places:
-        samples[place] = 0.0
-    assert call("render", sound(tmp_path / "zeros.wav", samples), out).code == 0
-    expected = out.read_bytes()
-    for place, value in zip(places, absurd, strict=True):
-        samples[place] = value
-    done = call("render", sound(tmp_path / "in.wav", samples), out)
-    assert (done.code, done.stderr) == (0, "")
-    assert f"{len(places)} unusable samples set to 0" in done.stdout
-    assert out.read_bytes() == expected
-
-
 @pytest.mark.parametrize("command", READERS)
 @pytest.mark.parametrize(
     ("samplerate", "channels"), [(RATE, 65), (1, 1), (100, 1), (999, 1), (768_001, 1)]
@@ -118,13 +101,6 @@ def test_other_rates_and_channel_counts_are_refused(tmp_path, out, command, samp
     if channels == 65:
         wrong, allowed = "channels=65", "1 to 64"
     assert f"{wrong} is out of range; allowed: {allowed}" in refusal(command, path, out)
-
-
-@pytest.mark.parametrize("command", READERS)
-def test_low_and_high_rates_work(tmp_path, out, command):
-    for rate in (1_000, 8_000, 768_000):
-        done = read_by(command, sound(tmp_path / "in.wav", noise(rate // 4), rate), out)
-        assert (done.code, done.stderr) == (0, "")
 
 
 @pytest.mark.parametrize(
@@ -159,8 +135,7 @@ def test_a_stream_whose_header_does_not_know_its_length_is_taken_without_a_warni
     content[4:8] = content[HEADER_BYTES - 4 : HEADER_BYTES] = struct.pack("<I", 0xFFFF_FFFF)
     path.write_bytes(content)
     done = call("render", path, out)
-    assert (done.code, done.stderr) == (0, "")
-    assert len(vibration(out)) == 5_000
+    assert (done.code, done.stderr, len(vibration(out))) == (0, "", 5_000)
 
 
 def test_a_place_where_no_file_can_be_is_refused_with_the_reason(source, tmp_path, monkeypatch):
@@ -235,14 +210,10 @@ def test_an_output_that_is_the_input_is_refused_however_it_is_named(source, tmp_
         refused(call("render", source, "out.wav", "--acceleration", name))
         refused(call("render", name, source))
         assert listing(tmp_path) == before | {"link.wav": before["in.wav"]}
-
-
-def test_an_acceleration_that_is_the_output_is_refused(source, out):
-    for name in (out, out.parent / ".." / out.parent.name / out.name):
-        error = refused(call("render", source, out, "--acceleration", name))
-        assert "the vibration" in error
-        assert "the acceleration" in error
-    assert listing(out.parent) == {out.name: b"old"}
+    for name in ("out.wav", "folder/../out.wav"):
+        error = refused(call("render", source, "out.wav", "--acceleration", name))
+        assert re.search("the vibration.*the acceleration|the acceleration.*the vibration", error)
+    assert listing(tmp_path) == before | {"link.wav": before["in.wav"]}
 
 
 def test_a_full_disk_is_a_write_error_and_leaves_everything_as_it_was(tmp_path, small_disk, out):
@@ -283,8 +254,7 @@ def test_a_stdout_that_cannot_be_written_is_an_error_of_one_line(source, command
 def test_a_stream_that_is_closed_keeps_nobody_from_rendering(source, out, number, stream):
     closed = {stream: None, "preexec_fn": lambda: os.close(number)}
     done = cushion("render", source, out, **closed)
-    assert (done.code, done.stderr) == (0, "")
-    assert len(vibration(out)) == 9_600
+    assert (done.code, done.stderr, len(vibration(out))) == (0, "", 9_600)
 
 
 @pytest.mark.sweep
@@ -335,8 +305,7 @@ def test_the_rule_for_usb_devices_needs_no_device(tmp_path, monkeypatch):
 
 
 def test_an_error_is_one_line_whatever_its_words_hold(tmp_path, out):
-    error = refused(call("render", tmp_path / "two\nlines\r.wav", out))
-    assert "does not exist" in error
+    assert "does not exist" in refused(call("render", tmp_path / "two\nlines\r.wav", out))
     refused(call("render", "a", "b", "--lo\nud"))
     refused(call("in\nspect"))
 
@@ -347,8 +316,7 @@ def test_a_fault_of_the_program_is_one_line_and_code_5(source, out, monkeypatch)
 
     monkeypatch.setattr("audioflinger_hook.cli.render.render_file", divide)
     done = call("render", source, out)
-    assert (done.code, done.stdout) == (5, "")
-    assert done.stderr.count("\n") == 1
+    assert (done.code, done.stdout, done.stderr.count("\n")) == (5, "", 1)
     assert done.stderr.startswith("cushion: error: ZeroDivisionError: in two lines; ")
     assert "fault of cushion" in done.stderr
 

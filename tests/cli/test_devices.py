@@ -12,14 +12,6 @@ from device.usb import UsbAudioDevice, find_devices
 from device.usb.descriptors import RateRange, parse_configuration
 from tests.support import usb_builder
 from tests.support.sound_cards import ADAPTIVE, ASYNC, Cards
-from tests.support.usb_builder import (
-    ASYNCHRONOUS,
-    ISOCHRONOUS,
-    UAC3,
-    class_specific,
-    endpoint,
-    streaming,
-)
 from tests.support.usb_shapes import SHAPES
 from tests.support.usb_tree import UsbTree
 
@@ -45,9 +37,7 @@ def test_what_plays_is_applications_alone() -> None:
     assert [application["name"] for application in found["applications"]] == ["mpv"]
 
 
-def test_rates_of_each_setting_are_those_that_the_driver_offers_of_this_device(
-    device: UsbAudioDevice, tmp_path: Path
-) -> None:
+def test_rates_of_each_setting_are_those_that_the_driver_offers_of_this_device(device, tmp_path):
     cards = Cards(tmp_path / "asound")
     assert by_setting(device, tmp_path / "asound") == {}
     cards.plug(2, "Other", stream=ADAPTIVE)
@@ -72,14 +62,14 @@ def cards(tmp_path: Path) -> Path:
 
 
 def test_the_driver_tells_what_class_3_leaves_open(device: UsbAudioDevice, cards: Path) -> None:
-    play = class_specific(1, bytes([5, *bytes(4), 2, 0, 1, *bytes(7), 4, 24, 0, 0, 4]))
-    data = endpoint(1, ISOCHRONOUS | ASYNCHRONOUS, 192)
+    play = usb_builder.class_specific(1, bytes([5, *bytes(4), 2, 0, 1, *bytes(7), 4, 24, 0, 0, 4]))
+    data = usb_builder.endpoint(1, usb_builder.ISOCHRONOUS | usb_builder.ASYNCHRONOUS, 192)
     configuration = parse_configuration(
         usb_builder.configuration(
-            usb_builder.association(0, 2, UAC3),
-            usb_builder.control(0, UAC3),
-            streaming(1, 0, UAC3),
-            streaming(1, 2, UAC3, play, data),
+            usb_builder.association(0, 2, usb_builder.UAC3),
+            usb_builder.control(0, usb_builder.UAC3),
+            usb_builder.streaming(1, 0, usb_builder.UAC3),
+            usb_builder.streaming(1, 2, usb_builder.UAC3, play, data),
         )
     )
     decoded, *listed = formats_of(configuration, device, root=cards)
@@ -87,8 +77,7 @@ def test_the_driver_tells_what_class_3_leaves_open(device: UsbAudioDevice, cards
     assert decoded["channels"] == 2
     assert decoded["samplerates"] == [44_100, 48_000, 88_200, 96_000, 176_400, 192_000]
     assert [(each["alternate"], each["audio_class"]) for each in listed] == [(7, 3), (3, 3)]
-    assert listed[0]["encodings"] == ["S16_LE"]
-    assert listed[1]["encodings"] == ["DSD"]
+    assert (listed[0]["encodings"], listed[1]["encodings"]) == (["S16_LE"], ["DSD"])
     (alone,) = formats_of(configuration)
     assert (alone["channels"], alone["samplerates"]) == (0, None)
 

@@ -23,9 +23,11 @@ def source(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_name_s_ending_or_an_option_is_the_format(name: str, source: Path, folder: Path) -> None:
+    before = source.read_bytes()
+    assert "name two files" in refused(call("export", source, source, "--format", name))
+    assert source.read_bytes() == before
     for suffix in FORMATS[name].suffixes:
-        done = call("export", source, folder / f"out{suffix}", "--json")
-        report = json.loads(done.stdout)
+        report = json.loads(call("export", source, folder / f"out{suffix}", "--json").stdout)
         assert (report["format"], report["frames"]) == (name, RATE // 2)
         assert report["bytes"] == (folder / f"out{suffix}").stat().st_size
     done = call("export", source, folder / "out", "--format", name, "--json")
@@ -57,19 +59,10 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("line", "said"), REFUSED.items())
-def test_what_cannot_be_exported_is_refused_in_one_line(
-    line: str, said: str, source: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_exported_is_refused_in_one_line(line, said, source, folder, monkeypatch):
     monkeypatch.chdir(folder)
     assert said in refused(call("export", source, *line.split()))
     assert listing(folder) == {}
-
-
-@pytest.mark.parametrize("name", FORMATS)
-def test_the_sound_itself_is_never_overwritten(name: str, source: Path) -> None:
-    before = source.read_bytes()
-    assert "name two files" in refused(call("export", source, source, "--format", name))
-    assert source.read_bytes() == before
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -88,22 +81,17 @@ def test_64_channels_are_mixed_or_refused(name: str, tmp_path: Path, folder: Pat
     done = call("export", many, folder / "out", "--format", name)
     if name == "ogg-haptic":
         assert "cannot hold 64 channels of sound; allowed: 1 to 8" in refused(done)
-        assert listing(folder) == {}
-    else:
-        assert done.code == 0
+    assert (done.code == 0) == (name != "ogg-haptic") == bool(listing(folder))
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_a_full_disk_is_a_write_error_and_leaves_everything_as_it_was(
-    name: str, tmp_path: Path, small_disk: Path
-) -> None:
+def test_a_full_disk_is_a_write_error_and_leaves_everything_as_it_was(name, tmp_path, small_disk):
     rng = np.random.default_rng(5)
     # Struck every 0.1 s, so that every format has much to write; text takes more than samples do.
     strokes = 6 if name == "hjif" else 300
     struck = np.tile(np.exp(-np.arange(4_800) / 600.0), strokes)
     struck *= rng.standard_normal(strokes * 4_800)
-    source = sound(tmp_path / "in.wav", 0.3 * struck)
-    path = small_disk / "out"
+    source, path = sound(tmp_path / "in.wav", 0.3 * struck), small_disk / "out"
     path.write_bytes(b"old")
     error = refused(call("export", source, path, "--format", name, "--profile", "paper"), 5)
     assert f"cannot write {path}: the disk is full" in error
@@ -141,8 +129,7 @@ def test_a_sound_of_30_hours_is_refused_before_it_is_played(name: str, folder: P
 @pytest.mark.parametrize("name", [name for name, one in FORMATS.items() if not one.whole])
 def test_memory_does_not_grow_with_the_length(name: str, folder: Path) -> None:
     second, out = noise(8_000).astype(np.float32), folder / "out"
-    options = ExportOptions(name, 1_000 if name in ("wav", "flac") else None)
-    peaks = []
+    options, peaks = ExportOptions(name, 1_000 if name in ("wav", "flac") else None), []
     short = 1 if name == "partials" else 5  # partials of noise take long under tracemalloc
     for seconds in (short, short, 10 * short):  # the first run loads what is loaded once
         tracemalloc.start()

@@ -21,9 +21,8 @@ SMALL_SIGNAL = re.sub(r"\[large_signal\].*?(?=\n\[)", "", PAPER, flags=re.DOTALL
 
 
 def reported(source, folder, *options):
-    felt = folder / "a.wav"
-    report = document("render", source, folder / "out.wav", "--acceleration", felt, *options)
-    return report, vibration(felt)
+    files = (folder / "out.wav", "--acceleration", folder / "a.wav")
+    return document("render", source, *files, *options), vibration(folder / "a.wav")
 
 
 def refusal(source, folder, rig):

@@ -5,10 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from audioflinger_hook import HapticTransform
 from audioflinger_hook.cli.terminal import as_typed
-from device.errors import UsageError
-from tests.support.commands import RATE, call, cushion, noise, refused, sound
+from tests.support.commands import call, cushion, noise, refused, sound
 from tests.support.terminal import Terminal
 
 SIMULATED = ("run", "--tap", "scene:demo", "--device", "twin", "--seconds", "1")
@@ -39,39 +37,9 @@ def test_the_help_names_only_taps_that_the_command_takes(command: str) -> None:
 
 @pytest.mark.parametrize("name", ["vibration.mp3", "vibration.flac", "vibration.ogg"])
 def test_a_name_never_promises_another_format_than_its_bytes(tmp_path: Path, name: str) -> None:
-    source = sound(tmp_path / "in.wav", noise(500))
-    error = refused(call("render", source, tmp_path / name))
+    error = refused(call("render", sound(tmp_path / "in.wav", noise(500)), tmp_path / name))
     assert "written as WAV; allowed: a name that ends in .wav, .wave, .rf64" in error
     assert not (tmp_path / name).exists()
-
-
-@pytest.mark.parametrize(
-    ("line", "meant"),
-    [
-        ("rendr", "render"),
-        ("render in.wav out.wav --profile cinma", "cinema"),
-        ("run --profile muisc", "music"),
-    ],
-)
-def test_a_mistyped_word_is_answered_with_the_nearest_one(line: str, meant: str) -> None:
-    assert f"did you mean {meant}?" in refused(call(*line.split()))
-
-
-def test_a_path_without_kind_may_be_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "films").mkdir()
-    sound(Path("films/a.wav"), noise(500))
-    assert "did you mean file:films/a.wav?" in refused(call("dump", "--tap", "films/a.wav"))
-
-
-def test_a_list_is_taken_or_refused_in_words_but_never_an_attribute_error() -> None:
-    transform = HapticTransform(RATE, channels=1)
-    with pytest.raises(UsageError, match="not sound in full scale"):
-        transform.process([1, 2, 3])  # type: ignore[arg-type]
-
-
-def test_the_table_of_a_dump_fits_120_columns() -> None:
-    assert max(map(len, call("dump").stdout.splitlines())) <= 120
 
 
 def test_a_run_on_a_terminal_shows_its_level() -> None:
@@ -108,9 +76,7 @@ def test_no_error_is_longer_than_a_few_lines_of_a_terminal() -> None:
         ("/usr/lib/audioflinger_hook/__main__.py", None, "cushion setup"),
     ],
 )
-def test_a_command_to_type_has_the_path_that_the_shell_needs(
-    monkeypatch: pytest.MonkeyPatch, started: str, found: str | None, expected: str
-) -> None:
+def test_a_command_to_type_has_the_path_that_the_shell_needs(monkeypatch, started, found, expected):
     monkeypatch.setattr("sys.argv", [started])
     monkeypatch.setattr(shutil, "which", lambda _: found)
     assert as_typed("setup") == expected

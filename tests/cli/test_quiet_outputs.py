@@ -24,16 +24,14 @@ def snapshot(sink: Sink, default: str = "speakers") -> ServerSnapshot:
     ("sink", "weakened"),
     [(DAC, ""), (replace(DAC, volume_db=4.0), ""), (DOWN, "volume 30 %"), (MUTED, "muted")],
 )
-def test_devices_lists_what_makes_an_output_weak(
-    sink: Sink, weakened: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_devices_lists_what_makes_an_output_weak(sink, weakened, capsys):
     assert sink.weakened == weakened
     devices._show(devices._server(snapshot(sink)) | {"usb": [], "cards": []})
     line = capsys.readouterr().out.splitlines()[2].strip()
     assert line == ", ".join(filter(None, ("USB DAC, 48000 Hz, 2 channels", weakened)))
 
 
-def test_a_test_tone_says_why_it_may_not_be_felt() -> None:
+def test_a_test_tone_says_why_it_may_not_be_felt_and_setup_lists_a_muted_output_as_muted() -> None:
     assert not list(test_tone._warnings(DAC, snapshot(DAC)))
     (down,) = test_tone._warnings(DOWN, snapshot(DOWN))
     assert "dac has volume 30 %" in down
@@ -41,9 +39,6 @@ def test_a_test_tone_says_why_it_may_not_be_felt() -> None:
     assert "`pactl set-sink-mute dac 0`" in silent
     (heard,) = test_tone._warnings(DAC, snapshot(DAC, default="dac"))
     assert "the default output" in heard
-
-
-def test_setup_lists_a_muted_output_as_muted() -> None:
     (output,) = list_outputs(snapshot(MUTED), (), ())
     assert "now muted" in output.note
 

@@ -13,16 +13,13 @@ def no_manager(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Told:
-    """A reporter of one keeper, and what it said last."""
-
     def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
         self._capsys = capsys
         self.keeper = StateKeeper(0.0)
         self.reporter = RunReporter()
 
     def lines(self, now_s: float = 0.0, *warnings: str) -> list[str]:
-        report = self.keeper.report(now_s)
-        self.reporter.report(report, self.keeper.notes(), list(warnings), now_s)
+        self.reporter.report(self.keeper.report(now_s), self.keeper.notes(), list(warnings), now_s)
         return self._capsys.readouterr().err.splitlines()
 
 
@@ -35,20 +32,17 @@ def told(capsys: pytest.CaptureFixture[str]) -> Told:
     return told
 
 
-def test_the_first_line_says_what_is_felt_and_where(
-    told: Told, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_first_line_says_what_is_felt_and_where(told, capsys):
     told.reporter.begin("default", "sink:seat")
     (line,) = capsys.readouterr().err.splitlines()
     assert line == "cushion: sound of default drives sink:seat; Ctrl+C ends it"
 
 
 def test_a_state_is_told_once_and_again_with_another_reason(told: Told) -> None:
-    told.keeper.enter(DaemonState.WAITING_FOR_DEVICE, 0.0, "no a")
-    assert told.lines() == ["cushion: waiting-for-device: no a"]
-    assert told.lines() == []
-    told.keeper.enter(DaemonState.WAITING_FOR_DEVICE, 0.0, "no b")
-    assert told.lines() == ["cushion: waiting-for-device: no b"]
+    for reason in ("no a", "no b"):
+        told.keeper.enter(DaemonState.WAITING_FOR_DEVICE, 0.0, reason)
+        assert told.lines() == [f"cushion: waiting-for-device: {reason}"]
+        assert told.lines() == []
 
 
 def test_what_was_over_within_one_look_is_told_all_the_same(told: Told) -> None:
@@ -86,9 +80,7 @@ def test_the_notes_are_few_and_each_is_handed_out_once() -> None:
     for number in range(1_000):
         keeper.count(Cause.RESYNC, str(number))
     notes = keeper.notes()
-    assert notes[-1] == Note(Cause.RESYNC, "999")
-    assert len(notes) == NOTES_MAX
-    assert keeper.notes() == []
+    assert (notes[-1], len(notes), keeper.notes()) == (Note(Cause.RESYNC, "999"), NOTES_MAX, [])
     keeper.count(Cause.STALL)
     assert keeper.notes() == [Note(Cause.STALL, "stall")]
 
@@ -100,9 +92,7 @@ def test_a_warning_is_told_when_it_comes_and_not_again_while_it_lasts(told: Told
     assert told.lines(0.0, "a", "b") == ["cushion: warning: a"]
 
 
-def test_a_warning_that_counts_is_told_when_it_begins_and_with_its_sum_at_the_end(
-    told: Told, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_warning_that_counts_is_told_when_it_begins_and_with_its_sum_at_the_end(told, capsys):
     said = [line for count in range(1, 100) for line in told.lines(0.0, f"{count} lost", "a")]
     assert said == ["cushion: warning: 1 lost", "cushion: warning: a"]
     told.reporter.end(["99 lost", "a", "b"])

@@ -13,6 +13,7 @@ from audioflinger_hook.config.edits import commented_text
 from audioflinger_hook.config.file import check_text
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
 from audioflinger_hook.config.schema import keys_of
+from audioflinger_hook.service import autostart
 from device.address import parse_device
 from device.errors import UsageError
 from device.server import ServerSnapshot
@@ -27,15 +28,15 @@ DUALSENSE = {"device_bus": "usb", "device_vendor_id": "054c", "device_product_id
 
 @pytest.fixture(autouse=True)
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    for name in ("CONFIG_HOME", "STATE_HOME", "RUNTIME_DIR"):
+    for name in ("CONFIG_HOME", "DATA_HOME", "STATE_HOME", "RUNTIME_DIR"):
         monkeypatch.setenv(f"XDG_{name}", str(tmp_path / name.partition("_")[0].lower()))
     monkeypatch.setenv("PULSE_SERVER", f"unix:{tmp_path}/none")
+    monkeypatch.setattr(autostart, "BOOTED", Path("/"))
     return tmp_path
 
 
 @pytest.fixture
 def path(home: Path) -> Path:
-    """Where the user's config is, once it is written."""
     (home / "config/cushion").mkdir(parents=True)
     return home / "config/cushion/config.toml"
 
@@ -65,15 +66,12 @@ def test_a_config_with_mistakes_is_left_to_its_owner(path: Path) -> None:
     assert path.read_text() == "profile = 7\n"
 
 
-def test_what_cannot_be_done_is_refused_with_what_can() -> None:
+def test_what_cannot_be_done_is_refused_with_what_can_and_each_profile_asked_for_exists() -> None:
     error = refused(call("setup"))
     assert "not a terminal" in error
     assert "--yes --device DEVICE" in error
     assert "did you mean cinema?" in refused(call("setup", "--yes", "--profile", "cinena"))
     assert "nothing to undo" in refused(call("setup", "--undo"))
-
-
-def test_every_profile_that_is_asked_for_exists() -> None:
     assert set(PLAYED) - {SPEECH_FREE} <= set(PROFILES)
 
 
@@ -129,8 +127,7 @@ def test_a_new_config_holds_every_top_level_key_and_says_what_was_chosen(device:
 @pytest.mark.parametrize("profile", ["cinema", "game"])
 def test_another_choice_ends_what_was_written_to_leave_out_speech(home: Path, profile: str) -> None:
     path = home / "config.toml"
-    first = {"device": "sink:haptic", **_profile_values(SPEECH_FREE)}
-    text = _new_text(path, None, first, ())
+    text = _new_text(path, None, {"device": "sink:haptic", **_profile_values(SPEECH_FREE)}, ())
     text = _new_text(path, text, _profile_values(profile, text), ())
     found, _ = check_text(text, home, LIVE_DEFAULT)
     assert found is not None
@@ -144,8 +141,7 @@ def test_undo_gives_back_each_earlier_state_and_keeps_later_edits(home: Path, pa
     unit = home / "config/systemd/user/cushion.service"
     mine = b"\xef\xbb\xbf# mine\r\n"
     path.write_bytes(mine)
-    before = setup_files.text_of(path)
-    setup_files.write(path, before, "gain_db = -1.0\n", with_service=True)
+    setup_files.write(path, setup_files.text_of(path), "gain_db = -1.0\n", with_service=True)
     assert unit.exists()
     setup_files.write(path, "gain_db = -1.0\n", "gain_db = -2.0\n", with_service=False)
     path.write_text("gain_db = -3.0\n")
@@ -161,15 +157,40 @@ def test_undo_gives_back_each_earlier_state_and_keeps_later_edits(home: Path, pa
     assert sorted(path.parent.iterdir()) == [path, undone]
 
 
-def test_a_config_that_changed_during_the_questions_is_left_alone(path: Path) -> None:
+@pytest.mark.parametrize("booted", ["/", "/nowhere"])
+def test_undo_says_what_it_did_with_and_without_systemd(home, path, monkeypatch, booted):
+    monkeypatch.setattr(autostart, "BOOTED", Path(booted))
+    setup_files.write(path, None, "gain_db = -1.0\n", with_service=True)
+    menu, unit = (next(home.rglob(f"*{name}"), None) for name in ("-cushion.desktop", ".service"))
+    done = setup_files.undo()[0]
+    removed = [f"{file}: removed" for file in (path, menu, unit) if file]
+    assert sorted(done) == sorted([*removed, "start at login: off"])
+    assert (len(removed) == 3) == (booted == "/")
+    assert not [file for file in home.rglob("*cushion*") if file.is_file()]
+
+
+@pytest.mark.parametrize("services", [(False,), (False, True), (True, False)], ids=str)
+def test_the_menu_has_the_page_until_the_first_setup_is_undone(
+    home: Path, path: Path, services: tuple[bool, ...]
+) -> None:
+    entry = home / "data/applications/haptic-cushion.desktop"
+    before = None
+    for number, with_service in enumerate(services):
+        text = f"gain_db = -{number}.0\n"
+        setup_files.write(path, before, text, with_service=with_service)
+        before = text
+        assert entry.exists()
+    for _ in services:
+        assert entry.exists()
+        setup_files.undo()
+    assert not [each for each in (home / "data").rglob("*") if each.is_file()]
+
+
+def test_a_config_that_changed_or_whose_backup_is_gone_is_left_alone(path: Path) -> None:
     path.write_text("gain_db = -1.0\n")
     with pytest.raises(UsageError, match="changed during the setup"):
         setup_files.write(path, None, "gain_db = -2.0\n", with_service=False)
     assert path.read_text() == "gain_db = -1.0\n"
-
-
-def test_a_backup_that_is_gone_leaves_the_config_alone(path: Path) -> None:
-    path.write_text("gain_db = -1.0\n")
     backup = setup_files.write(path, "gain_db = -1.0\n", "gain_db = -2.0\n", with_service=False)
     Path(backup).unlink()
     with pytest.raises(UsageError, match="is not changed"):
@@ -179,9 +200,7 @@ def test_a_backup_that_is_gone_leaves_the_config_alone(path: Path) -> None:
 
 @pytest.mark.parametrize("obstacle", ["config/systemd", "state/cushion"])
 @pytest.mark.parametrize("mine", [None, "gain_db = -1.0  # mine\n"])
-def test_a_setup_that_fails_half_way_leaves_everything_as_it_was(
-    home: Path, path: Path, obstacle: str, mine: str | None
-) -> None:
+def test_a_setup_that_fails_half_way_leaves_everything_as_it_was(home, path, obstacle, mine):
     if mine is not None:
         path.write_text(mine)
     (home / obstacle).parent.mkdir(exist_ok=True)
@@ -213,12 +232,11 @@ def test_damaged_records_are_reported_before_anything_is_written(home: Path, pat
     (home / "state/cushion/setup-undo.json").write_text("[[")
     with pytest.raises(UsageError, match="move it away"):
         setup_files.write(path, "gain_db = -1.0\n", "gain_db = -2.0\n", with_service=True)
-    assert list(path.parent.iterdir()) == [path]
-    assert path.read_text() == "gain_db = -1.0\n"
+    assert (list(path.parent.iterdir()), path.read_text()) == ([path], "gain_db = -1.0\n")
 
 
 def test_a_tone_fades_in_without_a_step_and_ends_by_itself() -> None:
-    tone = Tone(50.0, 48_000, [1])
+    tone = Tone("dac", 50.0, 48_000, [1])
     tone.play(0.5, 1.0, 0.5)
     blocks = []
     while not tone.ended.is_set():

@@ -77,8 +77,7 @@ def test_a_terminal_that_is_closed_ends_it_unless_it_was_started_to_go_on(ignore
 
 
 def test_a_closed_terminal_ends_a_run_whose_meter_it_shows_like_ctrl_c(tmp_path: Path) -> None:
-    source = sound(tmp_path / "in.wav", np.full(RATE * 60, 0.1))
-    felt = tmp_path / "felt.wav"
+    source, felt = sound(tmp_path / "in.wav", np.full(RATE * 60, 0.1)), tmp_path / "felt.wav"
     run = ("run", "--tap", f"file:{source}", "--device", f"wav:{felt}")
     with Terminal(*run, env={"TERM": "xterm", "XDG_RUNTIME_DIR": str(tmp_path)}) as terminal:
         terminal.expect("█")

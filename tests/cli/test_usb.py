@@ -4,7 +4,6 @@ import json
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -16,6 +15,19 @@ from tests.support.usb_shapes import headset_adapter
 DEVICE = usb_builder.device(product=0xDAC1)
 
 
+KEYS = {  # of the document, and of its parts
+    "": "bytes configurations device problem rest settings",
+    "device": "configurations product_id release usb vendor_id",
+    "configurations": "active audio_class bytes formats playback problems value",
+    "formats": "alternate audio_class bits channels encodings feedback implicit_feedback interface "
+    "samplerates subslot_bytes synchronisation",
+    "playback": "alternate bits channel_config channels clock_id clock_sources control_interface "
+    "encodings endpoint_address feature_unit feedback_endpoint implicit_feedback interface "
+    "interval mute_channels packet_bytes_max path samplerates subslot_bytes synchronisation uac "
+    "volume_channels",
+}
+
+
 @pytest.fixture
 def describe(tmp_path: Path) -> Callable[..., Done]:
     """Runs `cushion usb describe` on bytes, as xxd shows them, or on a text."""
@@ -23,7 +35,9 @@ def describe(tmp_path: Path) -> Callable[..., Done]:
     def run(shown: bytes | str, *options: str) -> Done:
         path = tmp_path / "dac.hex"
         path.write_text(shown if isinstance(shown, str) else xxd(shown))
-        return call("usb", "describe", *options, "--hex", path)
+        done = call("usb", "describe", *options, "--hex", path)
+        assert done.code == (2 if done.stderr else 0), done
+        return done
 
     return run
 
@@ -43,10 +57,13 @@ def test_a_dump_is_told_in_words(describe: Callable[..., Done]) -> None:
     assert "plays: nothing" not in done.stdout
 
 
-def test_a_dump_of_the_configuration_alone_is_enough(describe: Callable[..., Done]) -> None:
-    done = describe(headset_adapter(), "--json")
-    document = json.loads(done.stdout)
-    assert done.code == 0
+def test_the_document_keeps_its_keys_also_without_a_device(describe: Callable[..., Done]) -> None:
+    document = json.loads(describe(DEVICE + headset_adapter(), "--json").stdout)
+    (configuration,) = document["configurations"]
+    parts = {"": document, "device": document["device"], "configurations": configuration}
+    parts |= {key: configuration[key][0] for key in ("formats", "playback")}
+    assert {key: " ".join(sorted(part)) for key, part in parts.items()} == KEYS
+    document = json.loads(describe(headset_adapter(), "--json").stdout)
     assert document["device"] is document["settings"] is None
     assert document["configurations"][0]["bytes"] == headset_adapter().hex()
 
@@ -54,27 +71,20 @@ def test_a_dump_of_the_configuration_alone_is_enough(describe: Callable[..., Don
 def test_unknown_bytes_are_kept(describe: Callable[..., Done]) -> None:
     odd = bytes([5, 0xF7, 1, 2, 3])
     configuration = usb_builder.configuration(headset_adapter()[9:] + odd) + b"\x09\xab"
-    done = describe(DEVICE + configuration, "--json")
-    document = json.loads(done.stdout)
-    assert done.code == 0
+    document = json.loads(describe(DEVICE + configuration, "--json").stdout)
     kept = "".join(each["bytes"] for each in document["configurations"]) + document["rest"]
-    assert kept == configuration.hex()
-    assert document["bytes"] == (DEVICE + configuration).hex()
+    assert (kept, document["bytes"]) == (configuration.hex(), (DEVICE + configuration).hex())
 
 
-def test_a_damaged_dump_says_what_is_lost_and_shows_the_rest(describe: Callable[..., Done]) -> None:
+def test_a_damaged_dump_says_what_is_lost_and_what_plays(describe: Callable[..., Done]) -> None:
     done = describe((DEVICE + headset_adapter())[:-40])
     assert (done.code, done.stderr) == (0, "")
-    lines = done.stdout.splitlines()
-    size = len(headset_adapter())
+    lines, size = done.stdout.splitlines(), len(headset_adapter())
     lost = f"it has {size - 40} bytes, but wTotalLength is {size}: 40 missing"
     assert f"problem: at 0x0012, configuration: {lost}" in lines
     assert any(line.startswith("plays: interface 1.1, PCM of 16 bits") for line in lines)
     assert "volume can be set on channels 1, 2" in lines
     assert describe(done.stdout).stdout == done.stdout  # what is printed can be read again
-
-
-def test_a_dump_that_plays_nothing_says_so(describe: Callable[..., Done]) -> None:
     silent = usb_builder.configuration(usb_builder.control(0, 0, usb_builder.header_1([])))
     assert "plays: nothing" in describe(DEVICE + silent).stdout
     lost = "0 of 1 configuration can be read; from 0x0012 on, 2 bytes cannot be read"
@@ -129,17 +139,11 @@ HALF = {"name": "PCM Playback Switch", "muted": [True, False]}
 @pytest.mark.parametrize(
     ("volumes", "mutes", "word"),
     [
-        ([SOFT], [], "-12.5 dB"),
-        ([SOFT], [HALF], "-12.5 dB"),
-        ([SOFT], [MUTED], "muted"),
-        ([SILENT], [], "silence"),
-        ([NO_TABLE], [HALF], ""),
-        ([], [], ""),
+        *(([SOFT], [], "-12.5 dB"), ([SOFT], [HALF], "-12.5 dB"), ([SOFT], [MUTED], "muted")),
+        *(([SILENT], [], "silence"), ([NO_TABLE], [HALF], ""), ([], [], "")),
     ],
 )
-def test_the_loudest_channel_counts_and_a_mute_of_all_before_it(
-    volumes: list[dict[str, Any]], mutes: list[dict[str, Any]], word: str
-) -> None:
+def test_the_loudest_channel_counts_and_a_mute_of_all_before_it(volumes, mutes, word):
     assert volume_now({"volumes": volumes, "mutes": mutes, "problem": None}) == word
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from audioflinger_hook.config import file as config
-from audioflinger_hook.config.edits import EDITABLE, LiveEdits, editable, edited_text
+from audioflinger_hook.config.edits import EDITABLE, RULE, LiveEdits, editable, edited_text
 from device.errors import UsageError, WriteError
 
 TEXT = """# My cushion.
@@ -32,17 +32,78 @@ def path(tmp_path: Path) -> Path:
     return path
 
 
-def test_comments_order_and_other_values_stay() -> None:
+def test_comments_and_order_stay_and_new_keys_are_added_where_they_belong() -> None:
     changed = edited_text(TEXT, {"gain_db": -6.0, "transform.threshold_hz": 9.0})
     assert changed == TEXT.replace("-3.0", "-6.0").replace("8.0", "9.0")
-
-
-def test_new_keys_and_sections_are_added_where_they_belong() -> None:
     changed = edited_text(TEXT, {"offset_ms": 5.0, "applications.exclude": ["Chat"]})
     document = tomllib.loads(changed)
-    assert document["offset_ms"] == 5.0
-    assert document["applications"] == {"exclude": ["Chat"]}
+    assert (document["offset_ms"], document["applications"]) == (5.0, {"exclude": ["Chat"]})
     assert [line for line in TEXT.splitlines() if line not in changed.splitlines()] == []
+
+
+RULES = """# Rules.
+
+[applications] # of all
+exclude = ["Chat"]
+
+# The game.
+[[application]] # by its name
+match = "super*" # all versions
+profile = "game" # early
+
+# Of the live run.
+[live]
+feel_calls_and_alerts = true
+"""
+FIREFOX = RULE + "Firefox"
+TABLE = '\n[[application]]\nmatch = "Firefox"\nprofile = "music"\n'
+
+
+@pytest.mark.parametrize(
+    ("edits", "before", "after"),
+    [
+        ({FIREFOX: {"profile": "music"}}, "# early\n", f"# early\n{TABLE}"),
+        ({RULE + "SUPER*": {"profile": "music"}}, '"game"', '"music"'),
+        (
+            {RULE + " super* ": {"profile": "game", "gain_db": -3.0}},
+            "# early\n",
+            "# early\ngain_db = -3.0\n",
+        ),
+        ({RULE + "super*": {"feel": False}}, 'profile = "game" # early', "feel = false"),
+        (
+            {RULE + "super*": None},
+            '\n[[application]] # by its name\nmatch = "super*" # all versions\n'
+            'profile = "game" # early\n',
+            "\n",
+        ),
+        ({FIREFOX: None}, "", ""),
+    ],
+)
+def test_rules_are_added_changed_and_removed_and_every_comment_stays(edits, before, after):
+    assert edited_text(RULES, edits) == (RULES.replace(before, after) if before else RULES)
+
+
+@pytest.mark.parametrize("text", ["", "gain_db = -3.0\n", TEXT, RULES])
+def test_a_rule_that_is_added_and_removed_leaves_the_file_as_it_was(text):
+    added = edited_text(text, {FIREFOX: {"profile": "music"}})
+    assert TABLE.lstrip() in added
+    assert edited_text(added, {FIREFOX: None}) == text
+
+
+def test_rules_in_one_array_are_changed_there():
+    text = 'application = [{match = "a", feel = false}] # mine\ngain_db = -3.0\n'
+    added = edited_text(text, {FIREFOX: {"feel": False}})
+    rules = [{"match": "a", "feel": False}, {"match": "Firefox", "feel": False}]
+    assert tomllib.loads(added) == {"application": rules, "gain_db": -3.0}
+    assert "# mine" in added
+    changed = edited_text(added, {RULE + "a": {"profile": "game"}, FIREFOX: None})
+    assert tomllib.loads(changed)["application"] == [{"match": "a", "profile": "game"}]
+
+
+@pytest.mark.parametrize("match", ["Firefox", "a.b", "a]", "application:Radio: live", '"\\'])
+def test_any_name_of_an_application_becomes_a_rule(match):
+    text = edited_text(TEXT, {RULE + match: {"feel": False}})
+    assert tomllib.loads(text)["application"] == [{"match": match, "feel": False}]
 
 
 def test_a_removed_key_takes_its_default_again(path: Path) -> None:
@@ -59,6 +120,8 @@ VALUES: dict[str, st.SearchStrategy[Any]] = {
     "profile": st.sampled_from(["paper", "cinema", "game", None]),
     "applications.exclude": st.lists(st.text(min_size=1).filter(str.strip), max_size=3),
     "transform.threshold_hz": st.one_of(st.none(), st.floats(4.0, 12.0)),
+    FIREFOX: st.sampled_from([None, {"feel": False}, {"profile": "game"}, {"feel": True}]),
+    RULE + "mpv": st.sampled_from([None, {"profile": "music", "gain_db": -3.0}]),
 }
 CHANGES = st.sampled_from(sorted(VALUES)).flatmap(
     lambda name: VALUES[name].map(lambda value: {name: value})
@@ -76,7 +139,7 @@ def test_the_saved_file_says_what_applied_and_undo_goes_back_step_by_step(
     for step in steps:
         if step == "save":
             edits.save()
-            assert not edits.unsaved
+            assert not edits.unsaved()
             assert config.load(path) == past[-1]
         elif step == "undo" and len(past) > 1:
             edits.undo()
@@ -121,7 +184,7 @@ def test_a_file_that_cannot_be_written_keeps_the_edits(tmp_path: Path) -> None:
     edits.accept({"gain_db": -6.0})
     with pytest.raises((UsageError, WriteError)):
         edits.save()
-    assert edits.unsaved == {"gain_db"}
+    assert edits.unsaved().keys() == {"gain_db"}
 
 
 def test_a_file_with_a_mistake_is_refused_and_stays(path: Path) -> None:
@@ -138,8 +201,8 @@ def test_an_undone_change_leaves_nothing_unsaved_after_an_earlier_save(path: Pat
     edits.accept({"gain_db": -9.0})
     edits.save()
     edits.accept({"gain_db": -12.0})
-    assert edits.unsaved == {"gain_db"}
+    assert edits.unsaved().keys() == {"gain_db"}
     edits.undo()
-    assert edits.unsaved == frozenset()
+    assert edits.unsaved() == {}
     edits.undo()  # what the file held first, which it does not hold any more
-    assert edits.unsaved == {"gain_db"}
+    assert edits.unsaved().keys() == {"gain_db"}

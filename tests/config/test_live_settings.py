@@ -12,12 +12,6 @@ from device.errors import UsageError
 from tests.support.commands import call, refused
 
 
-def test_a_negative_offset_takes_drop_in() -> None:
-    assert LiveSettings(offset_ms=-5.0, drop_in=True).offset_s == -0.005
-    with pytest.raises(UsageError, match="below 0 without drop_in"):
-        LiveSettings(offset_ms=-5.0)
-
-
 @pytest.mark.parametrize("volume_db", [0.5, -97.0, float("nan"), float("inf"), True, "loud"])
 def test_the_device_is_never_set_above_0_db(volume_db: object) -> None:
     with pytest.raises(UsageError, match=r"device_volume_db=.* allowed: -96 to 0 dB"):
@@ -46,6 +40,7 @@ def test_a_document_of_no_mistakes_becomes_settings() -> None:
         tap=("app:a",), device_volume_db=-6.0, include=("a",), device="b"
     )
     assert LiveSettings.from_values({}) == LiveSettings()
+    assert LiveSettings(offset_ms=-5.0, drop_in=True).offset_s == -0.005
 
 
 @pytest.fixture
@@ -109,10 +104,15 @@ def test_the_service_takes_the_device_of_the_config(
     config.write_text('device = "haptic"\n')
     unit = tmp_path / "systemd" / "user" / "cushion.service"
     for arguments, started in (
-        ((), '"run" "--wait"'),
-        (("--device", "seat"), '"run" "--wait" "--device" "sink:seat"'),
+        *(((), '"run" "--wait"'), (("--device", "seat"), '"run" "--wait" "--device" "sink:seat"')),
         (("--tap", "sink:a b"), '"run" "--wait" "--tap" "sink:a b"'),
     ):
         assert call("install-service", *arguments).code == 0
         (line,) = [one for one in unit.read_text().splitlines() if one.startswith("ExecStart=")]
         assert line.endswith(f" {started}")
+    link = unit.parent / "default.target.wants" / unit.name
+    link.parent.mkdir()
+    link.symlink_to(unit)
+    assert f"systemctl --user stop {unit.name}" in call("install-service", "--remove").stdout
+    assert not link.is_symlink(), "another unit of this name would start by itself"
+    assert not unit.exists()

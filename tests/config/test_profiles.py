@@ -79,8 +79,7 @@ def test_even_the_paper_s_own_value_goes_over_the_profile_where_a_config_says_it
     own = {name: getattr(TransformParameters(), name) for name in values_of("game")}
     said = "\n".join(f"{name} = {json.dumps(value)}" for name, value in own.items())
     settings = loaded(tmp_path, f'profile = "game"\n[transform]\n{said}\n')
-    assert settings.profile == "game"
-    assert settings.parameters == TransformParameters()
+    assert (settings.profile, settings.parameters) == ("game", TransformParameters())
 
 
 @pytest.mark.parametrize("wrong", ["Cinema", "", "loud"])
@@ -105,8 +104,7 @@ def test_render_plays_a_profile_and_tells_its_name(tmp_path, name):
     sound(source, noise(20_000, 1))
     assert document("render", source, out, "--profile", name)["profile"] == name
     report = render_file(source, again, Settings(profile=name))
-    assert report.profile == name
-    assert again.read_bytes() == out.read_bytes()
+    assert (report.profile, again.read_bytes()) == (name, out.read_bytes())
     assert report.latency_s == HapticTransform(48_000, 1, parameters_of(name)).latency_s
 
 
@@ -153,12 +151,8 @@ def test_hard_sounds_stay_finite_and_under_full_scale_at_every_samplerate(name, 
     damaged = white_noise(0.2, samplerate, 1.0)
     damaged[::5] = np.nan
     for mix in (
-        white_noise(0.3, samplerate),
-        square(83, 0.3, samplerate),
-        np.full(samplerate // 4, 1.0),
-        one_sample(0.2, samplerate, 0.1),
-        damaged,
-        np.full(samplerate // 4, 1e-310),
+        *(white_noise(0.3, samplerate), square(83, 0.3, samplerate), np.full(samplerate // 4, 1.0)),
+        *(one_sample(0.2, samplerate, 0.1), damaged, np.full(samplerate // 4, 1e-310)),
         joined(tone(60, 0.2, samplerate), tone(samplerate / 3, 0.2, samplerate, 900.0)),
     ):
         vibration = played(mix, samplerate, parameters=parameters)
@@ -204,8 +198,7 @@ def test_a_profile_levels_the_resonance_of_a_rig_that_is_set(name: str) -> None:
     plain = Settings(profile=name)
     assert plain.transform_parameters.strength == "felt"
     for settings in (
-        replace(plain, rig="consumer"),
-        replace(plain, damping="auto"),
+        *(replace(plain, rig="consumer"), replace(plain, damping="auto")),
         replace(plain, protection="on"),
     ):
         levelled = settings.transform_parameters
@@ -214,8 +207,7 @@ def test_a_profile_levels_the_resonance_of_a_rig_that_is_set(name: str) -> None:
         assert replace(settings, said=("strength",)).transform_parameters.strength == "felt"
     assert Settings(profile="paper", rig="consumer").transform_parameters.strength == "flat"
     felt = TransformParameters(strength="felt")
-    own = Settings(profile="paper", damping="auto", parameters=felt)
-    assert own.transform_parameters == felt
+    assert Settings(profile="paper", damping="auto", parameters=felt).transform_parameters == felt
 
 
 def test_the_rig_that_is_levelled_is_that_of_the_actuators_if_they_have_one() -> None:
@@ -224,8 +216,7 @@ def test_the_rig_that_is_levelled_is_that_of_the_actuators_if_they_have_one() ->
     consumer = Settings(profile="cinema", damping="auto", rig="consumer")
     assert alike.transform_parameters == consumer.transform_parameters
     for other in (replace(second, rig="paper"), replace(second, damping="off")):
-        several = replace(alike, actuators=(first, other))
-        assert several.transform_parameters.strength == "felt"
+        assert replace(alike, actuators=(first, other)).transform_parameters.strength == "felt"
     damped = replace(alike, damping="off", actuators=(replace(first, damping="auto"),))
     assert damped.transform_parameters == consumer.transform_parameters
 
@@ -247,10 +238,8 @@ def test_strength_rig_takes_the_rig_s_resonance_unless_one_is_set() -> None:
     assert damped.resonance_q == 0.35
     # damping makes up for what it takes at the resonance
     gain = damped.resonance_q * 10.0 ** (damped.resonance_gain_db / 20.0)
-    assert gain == pytest.approx(free.resonance_q)
-    assert free.resonance_gain_db == 0.0
-    other = replace(settings, rig="consumer").transform_parameters
-    assert other.resonance_hz < 60.0
+    assert (gain, free.resonance_gain_db) == (pytest.approx(free.resonance_q), 0.0)
+    assert replace(settings, rig="consumer").transform_parameters.resonance_hz < 60.0
     own = TransformParameters(strength="rig", resonance_hz=50.0, resonance_q=2.0)
     assert replace(settings, parameters=own).transform_parameters == own
     assert Settings(parameters=TransformParameters()).transform_parameters == TransformParameters()

@@ -11,18 +11,19 @@ import fastjsonschema
 import pytest
 
 from audioflinger_hook.config import file as config
+from audioflinger_hook.config.applications import ApplicationRule
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, OFFLINE_DEFAULT
-from audioflinger_hook.config.schema import CHANGES, KEYS, REPLACED, json_schema, keys_of
+from audioflinger_hook.config.schema import CHANGES, HEADERS, KEYS, REPLACED, json_schema, keys_of
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.recording import settings_from
-from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
+from audioflinger_hook.daemon.run_config import RunConfig, changes_between
 from audioflinger_hook.effect.haptic_parameters import HAPTIC_PARAMETERS
 from audioflinger_hook.sources import parse_tap
 from audioflinger_hook.transform import TransformParameters
 from device.address import parse_device
 from device.drive import ActuatorSettings
 from device.errors import UsageError
-from device.values import Choice, Number, Switch
+from device.values import Choice, Described, Number, Switch
 from tests.support.commands import call, refused
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -139,12 +140,9 @@ def test_a_key_that_was_replaced_is_refused_with_the_one_that_replaces_it(tmp_pa
             said = refused(call("check", "--config", path))
             assert f"line 2: {section}.{old} = 20" in said
             assert f"is no longer a key; allowed: {new}" in said
-
-
-def test_a_capture_with_a_parameter_that_was_replaced_says_what_to_do() -> None:
     facts: dict[str, str | int | float | bool] = {"form": "live", "follower_db": 12.0}
     with pytest.raises(UsageError, match=r"follower_db is now loudness_db.*give others with"):
-        settings_from(facts)
+        settings_from(facts)  # of a capture
 
 
 def accepts(document: object, schema: dict[str, Any] | None = None) -> bool:
@@ -209,8 +207,8 @@ def test_check_and_schema_agree_on_the_edges_of_every_key(key: Any) -> None:
 
 
 def test_every_setting_is_a_key_and_every_key_is_a_setting() -> None:
-    not_keys = {"parameters", "said", "actuators"}
-    for owner in (Settings, LiveSettings, TransformParameters, ActuatorSettings):
+    not_keys = {"parameters", "said", "actuators", "application_rules"}
+    for owner in (Settings, LiveSettings, TransformParameters, ActuatorSettings, ApplicationRule):
         held = {key.field for key in KEYS if key.owner is owner}
         assert held == {field.name for field in fields(owner)} - not_keys
     for key in KEYS:
@@ -238,7 +236,7 @@ def test_the_effect_has_the_ranges_of_the_schema() -> None:
 
 
 KINDS = {
-    "nothing": ("level", "actuators", "volume", "offset"),
+    "nothing": ("level", "actuators", "volume", "offset", "left_out"),
     "next stream": ("priority",),
     "stream": ("tap", "device", "drop_in"),
     "streams": ("blocks",),
@@ -246,7 +244,7 @@ KINDS = {
     "engine": ("engine",),
     "another engine": ("way",),
 }
-"""By the schema's words, what `ConfigDiff` calls a change."""
+"""By the schema's words, what `Change` calls a change."""
 
 
 def another(key: Any) -> Any:
@@ -258,7 +256,13 @@ def another(key: Any) -> Any:
         return described.high if key.default != described.high else described.low
     if isinstance(described, Choice):
         return described.words[-1] if key.default != described.words[-1] else described.words[0]
-    by_name = {"rig": "consumer", "tap": ("sink:a",), "device": "sink:b", "channels": (9,)}
+    by_name = {
+        "rig": "consumer",
+        "tap": ("sink:a",),
+        "device": "sink:b",
+        "channels": (9,),
+        "match": "a",
+    }
     return (by_name | {"effects_file": Path("x.xml")}).get(key.field, ("a",))
 
 
@@ -268,11 +272,13 @@ def test_a_key_of_a_file_becomes_the_setting_of_its_field(key: Any, tmp_path: Pa
     if isinstance(value, Path):
         value = tmp_path / value
         value.touch()
-    head = {"": "", "actuator": "[[actuator]]\n"}.get(key.section, f"[{key.section}]\n")
-    needed = "channels = [0]\n" if key.section == "actuator" and key.name != "channels" else ""
+    head = "" if not key.section else f"{HEADERS[key.section]}\n"
+    first = {"actuator": "channels = [0]\n", "application": 'match = "a"\n'}
+    needed = "" if key.name in ("channels", "match") else first.get(key.section, "")
     path.write_text(f"{head}{needed}{key.name} = {json.dumps(value, default=str)}\n")
     found = config.load(path)
-    holders = (found.settings, found.live, found.settings.parameters, *found.settings.actuators)
+    holders: tuple[Described, ...] = (found.settings, found.live, found.settings.parameters)
+    holders += (*found.settings.actuators, *found.live.application_rules)
     (holder,) = (one for one in holders if isinstance(one, key.owner))
     assert getattr(holder, key.field) == value
 
@@ -283,7 +289,10 @@ def test_a_running_daemon_does_what_the_schema_says_of_a_change(key: Any) -> Non
     settings = Settings(actuators=three if key.owner is ActuatorSettings else ())
     live = LiveSettings(device="sink:a", offset_ms=5.0)
     changed, other = {key.field: another(key)}, (settings, live)
-    if key.owner is LiveSettings:
+    if key.owner is ApplicationRule:
+        rule = ApplicationRule(**{"match": "b", **changed})
+        other = settings, replace(live, application_rules=(rule,))
+    elif key.owner is LiveSettings:
         other = settings, replace(live, **changed)
     elif key.owner is ActuatorSettings:
         other = replace(settings, actuators=(*three[:2], replace(three[2], **changed))), live
@@ -295,8 +304,7 @@ def test_a_running_daemon_does_what_the_schema_says_of_a_change(key: Any) -> Non
         RunConfig(parse_tap(live.tap[0]), parse_device(str(live.device)), settings, live)
         for settings, live in ((settings, live), other)
     )
-    diff = ConfigDiff.between(old, new)
-    found = {field.name for field in fields(diff) if getattr(diff, field.name)}
+    found = {change.name.lower() for change in changes_between(old, new)}
     assert len(found) == 1
     assert found <= {*KINDS[key.change]}
 

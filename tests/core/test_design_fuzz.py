@@ -72,9 +72,7 @@ def test_bytes_that_were_changed_or_cut_are_refused(at: int, flips: int, cut: in
 @pytest.mark.parametrize(
     ("reason", "design"),
     [
-        *damaged(WHOLE).items(),
-        ("not a design", b""),
-        ("cut or too long", WHOLE + bytes(8)),
+        *(*damaged(WHOLE).items(), ("not a design", b""), ("cut or too long", WHOLE + bytes(8))),
         ("checksum", WHOLE[:-8] + bytes(8)),
         ("lacks samplerate or inputs", blob.pack(TRANSFORM.records())),
     ],
@@ -175,11 +173,8 @@ MISFITS: dict[str, list[object]] = {
     "short_hz": [S["short_hz"][1:]],
     "newest_frames": [0, S["tick_frames"] + 1, S["short_frames"] + 1],
     "band_edges": [
-        S["band_edges"][:1],
-        S["band_edges"][::-1].copy(),
-        S["band_edges"] + S["short_bins"],
-        S["band_edges"] - S["band_edges"][0],
-        S["band_edges"] + 0.5,
+        *(S["band_edges"][:1], S["band_edges"][::-1].copy(), S["band_edges"] + S["short_bins"]),
+        *(S["band_edges"] - S["band_edges"][0], S["band_edges"] + 0.5),
     ],
     "back_ticks": [2, 65],
     "rest_ticks": [S["rearmed_ticks"] - 1],
@@ -190,9 +185,7 @@ MISFITS: dict[str, list[object]] = {
     "onset_partials_max": [S["groups_max"] - 1, 17],
     "rise_shares": [np.zeros(0)],
     "speech_edges": [
-        S["speech_edges"][1:],
-        S["speech_edges"][::-1].copy(),
-        S["speech_edges"] + S["bins"],
+        *(S["speech_edges"][1:], S["speech_edges"][::-1].copy(), S["speech_edges"] + S["bins"]),
         S["speech_edges"] - 1e3,
     ],
     "speech_centres_hz": [np.ones(6)],
@@ -236,17 +229,22 @@ def test_any_numbers_make_a_core_that_runs_or_none(
 
 
 @given(
+    samples=st.lists(st.floats(width=32), min_size=1, max_size=200),
     gains=st.lists(st.floats(), min_size=3, max_size=3),
     delays=st.lists(st.floats(), min_size=3, max_size=3),
     sources=st.lists(st.integers(0, 2**64 - 1), min_size=3, max_size=3),
     sound_gain=st.floats(),
 )
 @settings(max_examples=100, deadline=None)
-def test_any_controls_give_finite_signals_within_full_scale(
-    gains: list[float], delays: list[float], sources: list[int], sound_gain: float
+def test_any_sound_and_controls_give_finite_signals_within_full_scale(
+    samples: list[float],
+    gains: list[float],
+    delays: list[float],
+    sources: list[int],
+    sound_gain: float,
 ) -> None:
     core = Core(WHOLE)
-    for part in np.split(SOUND, 3):
+    for part in (*np.split(SOUND, 3), np.resize(np.array(samples, np.float32), (2_000, 2))):
         core.process(part)
         core.controls.sound_gain = sound_gain
         for controls, gain, delay, source in zip(
@@ -256,14 +254,6 @@ def test_any_controls_give_finite_signals_within_full_scale(
         out = core.process(part)
         assert np.isfinite(out).all()
         assert np.abs(out).max() <= 1.0 + 1e-6
-
-
-@given(samples=st.lists(st.floats(width=32), min_size=1, max_size=200))
-@settings(max_examples=100, deadline=None)
-def test_any_sound_gives_finite_signals(samples: list[float]) -> None:
-    core = Core(WHOLE)
-    out = core.process(np.resize(np.array(samples, np.float32), (2_000, 2)))
-    assert np.isfinite(out).all()
 
 
 @pytest.mark.parametrize("name", [n for n in OF_DRIVES if np.ndim(RECORDS[n]) and "/" in n])

@@ -23,8 +23,7 @@ RATE = 48_000
 @cache
 def sounds() -> np.ndarray:
     """Return two channels of the demo, noise, silence, a sweep and unusable samples."""
-    rng = np.random.default_rng(4)
-    time = np.arange(RATE // 2) / RATE
+    rng, time = np.random.default_rng(4), np.arange(RATE // 2) / RATE
     sweep = np.sin(2 * np.pi * 40 * 40_000**time / np.log(40_000))
     noise = rng.normal(0.0, 0.3, (RATE // 4, 2)) * [[1.0, 0.01]]
     odd = rng.normal(0.0, 0.3, (RATE // 10, 2))

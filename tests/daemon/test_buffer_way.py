@@ -9,29 +9,22 @@ from types import FrameType
 import numpy as np
 
 from audioflinger_hook.daemon.capture_queue import CaptureQueue
-from audioflinger_hook.daemon.engine import Clocks, Engine
 from device.drive import ChannelMap
 from device.drive.channel_router import ChannelRouter
+from tests.daemon.test_capture_queue import BLOCK, BLOCK_S, Live, music
 
 ROOT = Path(__file__).resolve().parents[2]
 WAY = (ROOT / "docs/architecture.md").read_text().partition("\n## One buffer's way\n")[2]
 WAY = WAY.partition("\nWhat happens on the way:")[0]
 
-RATE_HZ, BLOCK = 48_000, 256
 CARRIERS_MAX = 16
 
 
 def files_of_a_cycle() -> set[str]:
     """Return the files that run while blocks pass from a capture to a device within a second."""
-    queue = CaptureQueue()
-    clocks = Clocks(lambda: 0.0, lambda: 0.0)
-    engine = Engine(queue.client(RATE_HZ, 2), RATE_HZ, clocks=clocks, block_frames=BLOCK)
-    queue.serve(engine)
-    queue.opened(RATE_HZ, 2)
-    fill = ChannelRouter(()).connect(engine.fill, ChannelMap.repeated(1, 2), BLOCK)
-    at = np.arange(400 * BLOCK) / RATE_HZ
-    sound = np.repeat(0.3 * np.sin(2 * np.pi * 440 * at)[:, None], 2, axis=1).astype(np.float32)
-    out = np.zeros((BLOCK, 2), np.float32)
+    live = Live(CaptureQueue())
+    fill = ChannelRouter(()).connect(live.engine.fill, ChannelMap.repeated(1, 2), BLOCK)
+    sound, out = music(2.0), np.zeros((BLOCK, 2), np.float32)
     files: set[str] = set()
 
     def called(frame: FrameType, event: str, _: object) -> None:
@@ -40,9 +33,9 @@ def files_of_a_cycle() -> set[str]:
 
     def play(first: int, last: int) -> None:
         for block in range(first, last):
-            now_s = (block + 1) * BLOCK / RATE_HZ
-            queue.push(sound[block * BLOCK : (block + 1) * BLOCK], now_s)
-            fill(out, now_s + 0.3 * BLOCK / RATE_HZ)
+            now_s = (block + 1) * BLOCK_S
+            live.feed.push(sound[block * BLOCK : (block + 1) * BLOCK], now_s)
+            fill(out, now_s + 0.3 * BLOCK_S)
 
     play(0, 200)  # past the first second, after which effects are asked for their state
     assert out.any(), "the vibration arrives"

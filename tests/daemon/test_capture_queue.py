@@ -6,9 +6,11 @@ import threading
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
+from hypothesis import settings as examples
 from hypothesis import strategies as st
 
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.capture_queue import (
     UNASKED_S,
     CaptureQueue,
@@ -23,25 +25,27 @@ from device.units import Float32Array
 RATE_HZ = 48_000
 BLOCK = 256
 BLOCK_S = BLOCK / RATE_HZ
+STILL = Clocks(lambda: 0.0, lambda: 0.0)
 
 
 class Live:
     """A feed and its engine between two streams; keeps what was mixed, felt and played."""
 
-    def __init__(self, feed: Feed, samplerate: int = RATE_HZ, block_frames: int = BLOCK) -> None:
+    def __init__(self, feed: Feed, settings: Settings | None = None) -> None:
         self.feed = feed
         self.mixed: list[Float32Array] = []
         self.felt: list[Float32Array] = []
         self.played: list[Float32Array] = []
         self.engine = Engine(
-            feed.client(samplerate, 2),
+            feed.client(RATE_HZ, 2),
             RATE_HZ,
-            clocks=Clocks(lambda: 0.0, lambda: 0.0),
-            block_frames=block_frames,
+            settings,
+            clocks=STILL,
+            block_frames=BLOCK,
             on_step=self._stepped,
         )
         feed.serve(self.engine)
-        feed.opened(samplerate, 2)
+        feed.opened(RATE_HZ, 2)
 
     def _stepped(self, audio: Float32Array, vibration: Float32Array, now_s: float) -> None:
         self.mixed.append(audio.copy())
@@ -95,13 +99,11 @@ def test_what_is_felt_is_the_same_and_comes_at_the_same_time(jitter_s):
     assert other.delay_s == pytest.approx(one.delay_s, abs=0.0002)
     # Played at the same moments, to a tenth of a millisecond: what the clocks learn comes later.
     heard, wanted = np.concatenate(when_needed.played)[:, 0], np.concatenate(at_once.played)[:, 0]
-    loudest = np.abs(wanted).max()
-    assert np.abs(heard - wanted)[2 * RATE_HZ :].max() < 0.1 * loudest
+    assert np.abs(heard - wanted)[2 * RATE_HZ :].max() < 0.1 * np.abs(wanted).max()
 
 
 def test_what_the_delay_line_has_is_read_at_once_and_that_is_not_taken_for_haste():
-    sound = music(6.0)
-    live = Live(CaptureQueue())
+    sound, live = music(6.0), Live(CaptureQueue())
     reads: list[tuple[int, int]] = []
     read = live.engine.delay_line.read
 
@@ -135,7 +137,7 @@ def test_what_was_read_ahead_of_a_gap_is_not_played_after_it():
 
 
 @given(st.lists(st.integers(1, 1_500), min_size=20, max_size=60))
-@settings(max_examples=10, deadline=None)
+@examples(max_examples=10, deadline=None)
 def test_requests_of_any_sizes_get_every_frame_once_and_in_order(sizes):
     live = live_after(3.0)
     taken: list[Float32Array] = []
@@ -147,9 +149,7 @@ def test_requests_of_any_sizes_get_every_frame_once_and_in_order(sizes):
         return count
 
     live.engine.delay_line.read = kept  # type: ignore[method-assign]
-    held = live.engine.read_ahead.copy()
-    before = len(live.played)
-    now_s = 3.0
+    held, before, now_s = live.engine.read_ahead.copy(), len(live.played), 3.0
     for frames in sizes:
         live.fill(now_s, frames)
         now_s += frames / RATE_HZ
@@ -158,12 +158,10 @@ def test_requests_of_any_sizes_get_every_frame_once_and_in_order(sizes):
 
 
 def test_long_delays_do_not_let_sound_wait_for_more_than_a_cycle():
-    sound = music(4.0)
-    live = Live(CaptureQueue())
+    sound, live = music(4.0), Live(CaptureQueue())
     live.engine.delay_line.offset_s = 0.5
     live.run(sound, lateness(len(sound) // BLOCK, 0.0))
-    delivered = len(sound) // BLOCK * BLOCK
-    assert delivered - live.engine.frames <= live.engine.frames_max + BLOCK
+    assert len(sound) // BLOCK * BLOCK - live.engine.frames <= live.engine.frames_max + BLOCK
 
 
 def test_without_an_output_sound_is_mixed_as_it_comes():
@@ -195,9 +193,7 @@ def test_two_threads_lose_nothing_and_keep_the_order():
     sys.setswitchinterval(1e-5)
     try:
         feed = CaptureQueue()
-        live = Live(feed)
-        blocks = 3_000
-        ended = threading.Event()
+        live, blocks, ended = Live(feed), 3_000, threading.Event()
 
         def play() -> None:
             while not ended.is_set():
@@ -221,8 +217,7 @@ def test_two_threads_lose_nothing_and_keep_the_order():
 
 def test_a_jump_takes_back_what_would_have_been_read_ahead():
     """The output loses 40 ms: what is read then, late, ends sooner than what was there before."""
-    live = Live(CaptureQueue())
-    sound = music(8.0)
+    live, sound = Live(CaptureQueue()), music(8.0)
     for block in range(len(sound) // BLOCK):
         now_s = (block + 1) * BLOCK_S
         live.feed.push(sound[block * BLOCK : (block + 1) * BLOCK], now_s)
@@ -233,7 +228,7 @@ def test_a_jump_takes_back_what_would_have_been_read_ahead():
     assert status.delay_s == pytest.approx(status.target_s, abs=0.001)
 
 
-def test_a_volume_is_undone_over_one_buffer_and_exactly_from_then_on():
+def test_a_volume_is_undone_over_one_buffer_and_no_sample_goes_over_full_scale():
     gain, frames = SoundGain(), np.full((100, 2), 0.1, np.float32)
     assert gain.apply(frames) is frames
     gain.wanted = 10.0
@@ -242,12 +237,8 @@ def test_a_volume_is_undone_over_one_buffer_and_exactly_from_then_on():
     steps = np.diff(changing[:, 0])
     assert np.all(steps > 0.0)
     assert np.ptp(steps) < 1e-6
-    assert changing[0, 0] == pytest.approx(0.109)
-    assert changing[-1, 0] == pytest.approx(1.0, rel=1e-6)
+    assert (changing[0, 0], changing[-1, 0]) == (pytest.approx(0.109), pytest.approx(1.0, rel=1e-6))
     assert after == pytest.approx(1.0, rel=1e-6)
-
-
-def test_no_sample_goes_over_full_scale_where_a_volume_rose_before_its_factor_fell():
     gain = SoundGain()
     gain.wanted = 1000.0
     assert gain.apply(np.full((4, 1), 0.5, np.float32)).max() == 1.0

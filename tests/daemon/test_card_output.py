@@ -1,36 +1,35 @@
-"""The daemon's way to a card, alone and in `cushion run`: found, opened, given up, opened again.
-
-The cards are files: of /proc/asound, and of what ALSA would have handed to the card.
-"""
+"""A daemon's way to a card, a file of /proc/asound here: found, opened, lost and found again."""
 
 import os
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon import endpoints
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.outputs.base import Fill
 from audioflinger_hook.daemon.outputs.card import CardOutput
-from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.daemon.timing import Wake
 from audioflinger_hook.mixer.pcm import PcmFormat, decode, encode
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
-from audioflinger_hook.sources import TapAddress
 from device.address import DeviceAddress, parse_device
 from device.drive import ActuatorSettings
+from device.drive.safety import SafetyState
 from device.errors import LostError, NotFoundError, UsageError
-from device.stream import portaudio
+from device.stream import portaudio, streams
 from device.stream.pcms import CardDevice, PcmConfig, Target
 from device.units import Float32Array
 from tests.support.alsa_files import BLOCK_S, ToFile, portaudio_with, until
 from tests.support.commands import call, noise, refused, sound
+from tests.support.run_configs import config
 from tests.support.sound_cards import ADAPTIVE, ASYNC, HW_PARAMS, Cards
 
 RATE = 48_000
@@ -39,20 +38,20 @@ TONE = (0.1 * np.sin(np.arange(256) * 0.1)).astype(np.float32)
 
 @pytest.fixture(scope="module")
 def pcms():
-    with portaudio_with("cushion_output") as config:
-        yield config
+    with portaudio_with("cushion_output") as found:
+        yield found
 
 
 class Rig:
     """An output, its cards, and where its bytes go: one file a card's number."""
 
-    def __init__(self, folder: Path, pcms: PcmConfig, name: str = "DAC", **options) -> None:
-        self.folder = folder
-        self.cards = Cards(folder / "asound")
-        self.states = StateKeeper(0.0)
-        self.blocks = 0
+    def __init__(
+        self, folder: Path, pcms: PcmConfig, name: str = "DAC", actuators=(), **options
+    ) -> None:
+        self.folder, self.cards = folder, Cards(folder / "asound")
+        self.states, self.blocks = StateKeeper(0.0), 0
         self.output = CardOutput(
-            DeviceAddress("hw", name),
+            config(f"hw:{name}", Settings(actuators=actuators), block_frames=256),
             pcms.pcms["cushion_output"],
             self.states,
             root=self.cards.root,
@@ -120,8 +119,7 @@ def test_a_card_gets_the_vibration_in_its_own_format(rig):
     assert rig.output.is_open
     rig.output.close()
     assert not rig.output.is_open
-    block = encode(np.column_stack([TONE, TONE]), PcmFormat.I32)
-    assert block * 3 in rig.path(30).read_bytes()
+    assert encode(np.column_stack([TONE, TONE]), PcmFormat.I32) * 3 in rig.path(30).read_bytes()
 
 
 PAD = ADAPTIVE.replace("Channels: 8", "Channels: 4")
@@ -161,7 +159,7 @@ def test_a_card_whose_volume_cannot_be_set_is_not_played_to(rig):
 
 
 def test_a_card_with_too_few_channels_for_the_actuators_is_none(tmp_path, pcms):
-    rig = Rig(tmp_path, pcms, "30,0", actuators=[ActuatorSettings((0,)), ActuatorSettings((2,))])
+    rig = Rig(tmp_path, pcms, "30,0", actuators=(ActuatorSettings((0,)), ActuatorSettings((2,))))
     rig.cards.plug(30, "DAC", stream=ASYNC)
     for known in (False, True):  # the mix
         if known:
@@ -176,7 +174,7 @@ def test_a_card_with_too_few_channels_for_the_actuators_is_none(tmp_path, pcms):
 
 
 def test_actuators_reach_their_channels_and_go_over_to_others_in_an_open_stream(tmp_path, pcms):
-    rig = Rig(tmp_path, pcms, "30,0", actuators=[ActuatorSettings((5,)), ActuatorSettings((0, 1))])
+    rig = Rig(tmp_path, pcms, "30,0", actuators=(ActuatorSettings((5,)), ActuatorSettings((0, 1))))
     rig.start(2, stream=ADAPTIVE)
     rig.output.set_actuators([ActuatorSettings((1,)), ActuatorSettings((7, 2))])
     assert rig.output.is_open
@@ -208,8 +206,7 @@ def test_a_card_that_is_plugged_in_again_plays_again_whatever_its_number_and_no_
 def test_a_card_whose_callbacks_stop_is_lost_and_opened_again(rig):
     rig.start(2)
     rig.tick(later_s=1.0)
-    report = rig.states.report(time.monotonic())
-    assert report.recoveries[Cause.DEVICE_LOST] == 1
+    assert rig.states.report(time.monotonic()).recoveries[Cause.DEVICE_LOST] == 1
     assert rig.output.name == "hw:DAC,0"
     rig.play()
 
@@ -229,9 +226,7 @@ def test_a_card_that_another_program_plays_on_is_waited_for(rig):
 
 def test_a_card_that_plays_another_format_than_asked_for_is_opened_in_that_one(rig):
     folder = rig.cards.plug(30, "PCH")
-    other_card = DeviceAddress("hw", "PCH")
-    config = RunConfig(TapAddress("default"), other_card, Settings(), LiveSettings())
-    assert rig.output.retarget(config)
+    assert rig.output.retarget(config("hw:PCH"))
     rig.output.set_format(RATE, 1)
     (folder / "pcm0p/sub0/hw_params").write_text(HW_PARAMS.format("S16_LE", 2, RATE))
     with pytest.raises(LostError, match="hw:PCH,0 plays S16_LE instead of S32_LE"):
@@ -242,8 +237,7 @@ def test_a_card_that_plays_another_format_than_asked_for_is_opened_in_that_one(r
     rig.play()
     rig.output.close()
     assert rig.output.delay_s(None) == 0.0
-    block = encode(np.column_stack([TONE, TONE]), PcmFormat.I16)
-    assert block in rig.path(30).read_bytes()
+    assert encode(np.column_stack([TONE, TONE]), PcmFormat.I16) in rig.path(30).read_bytes()
 
 
 def test_a_card_that_cannot_be_opened_is_awaited_with_a_reason_and_ever_less_often(tmp_path, pcms):
@@ -262,21 +256,21 @@ def test_a_card_that_cannot_be_opened_is_awaited_with_a_reason_and_ever_less_oft
 
 
 FILE_RATE = 44_100
+HOUR_S, AHEAD_S = 3_600.0, 0.5  # AHEAD_S: sound that the buffers of file and card may hold
 ONLY_96K = ASYNC.replace("44100, 48000, 88200, 96000, 176400, 192000", "96000")
 
 
 class Paced:
     """A block when a card of that rate, Hz, would ask for it: ALSA's file takes it at once."""
 
-    def __init__(self, fill: Fill, samplerate: int) -> None:
-        self._fill = fill
-        self._samplerate = samplerate
+    def __init__(self, fill: Fill, samplerate: int, clock: Callable[[], float]) -> None:
+        self._fill, self._clock, self._samplerate = fill, clock, samplerate
         self._due_s = 0.0
 
     def fill(self, out: Float32Array, now_s: float) -> None:
-        self._due_s = (self._due_s or now_s) + len(out) / self._samplerate
-        time.sleep(max(0.001, self._due_s - time.monotonic()))
-        self._fill(out, time.monotonic())
+        self._due_s = (self._due_s or self._clock()) + len(out) / self._samplerate
+        time.sleep(max(0.001, self._due_s - self._clock()))
+        self._fill(out, self._clock())
 
 
 class DaemonRig:
@@ -286,6 +280,7 @@ class DaemonRig:
         pytest.importorskip("pyaudio")
         self.folder = folder
         self.cards = cards = Cards(folder / "asound")
+        clock = self.now_s
 
         class FileCard(CardOutput):
             def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -297,26 +292,29 @@ class DaemonRig:
 
             def maintain(self, connection: Any, fill: Fill, now_s: float) -> None:
                 assert self._found
-                paced = Paced(fill, self._found.samplerate or FILE_RATE)
+                paced = Paced(fill, self._found.samplerate or FILE_RATE, clock)
                 super().maintain(connection, paced.fill, now_s)
 
         monkeypatch.setattr(endpoints, "CardOutput", FileCard)
         source = sound(folder / "in.wav", noise(20 * FILE_RATE, 2), FILE_RATE)
         # without real-time priority: a file that takes all at once must not keep others waiting
-        live = LiveSettings(realtime=False)
-        self.order = RunConfig(
-            TapAddress("file", str(source)), DeviceAddress("hw", "DAC"), Settings(), live
-        )
+        self.order = config("hw:DAC", tap=(f"file:{source}",), realtime=False)
         self.wake = Wake()
-        clocks = Clocks(time.monotonic, time.thread_time)
-        self.supervisor = Supervisor(self.order, clocks, self.wake)
+        self.jumped_s = self.slept_s = 0.0
+        # a stream tells by the same clock when it was called
+        monkeypatch.setattr(streams, "time", SimpleNamespace(monotonic=clock))
+        self.clocks = Clocks(self.now_s, time.thread_time, lambda: self.slept_s)
+        self.supervisor = Supervisor(self.order, self.clocks, self.wake)
+
+    def now_s(self) -> float:
+        return time.monotonic() + self.jumped_s
 
     def until(self, state: DaemonState, limit_s: float = 10.0) -> str:
         """Tick until it is in that state; return the reason."""
         end_s = time.monotonic() + limit_s
         while True:
             self.run(0.02)
-            report = self.supervisor.states.report(time.monotonic())
+            report = self.supervisor.states.report(self.now_s())
             if report.state is state:
                 return report.reason
             assert time.monotonic() < end_s, report
@@ -324,14 +322,14 @@ class DaemonRig:
     def run(self, seconds: float) -> None:
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
-            self.supervisor.tick(time.monotonic())
+            self.supervisor.tick(self.now_s())
             time.sleep(0.02)
 
     def heard(self, card: int) -> Float32Array:
         return decode((self.folder / f"{card}.raw").read_bytes(), PcmFormat.I32, 2)
 
     def close(self) -> None:
-        self.supervisor.close(time.monotonic())
+        self.supervisor.close(self.now_s())
         self.wake.__exit__(None, None, None)
         assert len(portaudio.open_tags) == 0
 
@@ -354,32 +352,7 @@ def test_a_daemon_that_cannot_open_a_stream_says_why(live, monkeypatch):
     assert (report.state, report.reason) == (DaemonState.STARTING, "the server hangs")
 
 
-@pytest.mark.exhaustive
-def test_a_card_is_awaited_played_to_pulled_out_and_played_to_again(live):
-    with pytest.raises(NotFoundError, match="no sound card 'DAC'"):
-        live.supervisor.look()
-    assert "connect one" in live.until(DaemonState.WAITING_FOR_DEVICE)
-    live.cards.plug(30, "DAC", stream=ONLY_96K)
-    live.until(DaemonState.RUNNING)
-    live.run(1.5)
-    engine = live.supervisor.engines.python
-    assert (engine.samplerate, engine.delay_line.samplerate_out) == (FILE_RATE, 96_000)
-    assert live.supervisor.endpoints[1] == ("hw:DAC", "hw:DAC,0")
-    live.cards.unplug(30)
-    assert "no sound card" in live.until(DaemonState.WAITING_FOR_DEVICE)
-    report = live.supervisor.states.report(time.monotonic())
-    assert report.recoveries[Cause.DEVICE_LOST] == 1
-    live.cards.plug(31, "DAC", stream=ASYNC)
-    live.until(DaemonState.RUNNING)
-    live.run(1.0)
-    assert engine.delay_line.samplerate_out == FILE_RATE
-    for card in (30, 31):
-        vibration = live.heard(card)
-        assert np.abs(vibration).max() > 0.005
-        np.testing.assert_array_equal(vibration[:, 0], vibration[:, 1])
-
-
-def test_another_card_is_gone_over_to_while_it_runs_and_a_sink_is_not(live):
+def test_another_card_is_gone_over_to_and_lost_while_it_runs_and_a_sink_is_not(live):
     live.cards.plug(30, "DAC", stream=ASYNC)
     live.cards.plug(31, "Other", stream=ASYNC)
     live.until(DaemonState.RUNNING)
@@ -392,6 +365,59 @@ def test_another_card_is_gone_over_to_while_it_runs_and_a_sink_is_not(live):
         with pytest.raises(UsageError, match=f"'hw:Other' cannot become '{device}'"):
             live.supervisor.follow(replace(other, device=device), time.monotonic())
     assert live.supervisor.endpoints[1] == ("hw:Other", "hw:Other,0")
+    live.cards.unplug(31)
+    assert "no sound card" in live.until(DaemonState.WAITING_FOR_DEVICE)
+    assert live.supervisor.states.report(live.now_s()).recoveries[Cause.DEVICE_LOST] == 1
+
+
+@pytest.mark.parametrize("is_suspend", [True, False], ids=["suspend", "jump"])
+def test_a_card_is_awaited_and_away_for_hours_and_plays_on_within_3_s_cooler_and_no_other_does(
+    live, is_suspend
+):
+    def pass_an_hour() -> None:
+        live.slept_s += HOUR_S * is_suspend  # the monotonic clock stands still
+        live.jumped_s += HOUR_S * (not is_suspend)
+
+    protected = replace(live.order, settings=Settings(protection="on"))
+    live.supervisor = Supervisor(protected, live.clocks, live.wake)
+    with pytest.raises(NotFoundError, match="no sound card 'DAC'"):
+        live.supervisor.look()
+    assert "connect one" in live.until(DaemonState.WAITING_FOR_DEVICE)
+    live.cards.plug(29, "Speakers", stream=ASYNC)
+    live.cards.plug(30, "DAC", stream=ONLY_96K)
+    live.until(DaemonState.RUNNING)
+    (rig,), engine = live.supervisor.engines.rigs, live.supervisor.engines.python
+    live.run(1.5)
+    assert rig.has_run
+    assert (engine.samplerate, engine.delay_line.samplerate_out) == (FILE_RATE, 96_000)
+    assert live.supervisor.endpoints[1] == ("hw:DAC", "hw:DAC,0")
+    dose_s = rig.safety_states()[0].dose.time_s
+    live.cards.unplug(30)
+    pass_an_hour()
+    assert "no sound card" in live.until(DaemonState.WAITING_FOR_DEVICE)
+    live.run(0.1)
+    rig.restore([SafetyState(100.0, 60.0)] * rig.channels, rig._core_readings.frames + 1)
+    rig._kept_frames = rig._core_readings.frames
+    live.run(0.1)
+    assert max(state.coil_c for state in rig.safety_states()) == 100.0
+    pass_an_hour()
+    live.run(0.1)
+    assert max(state.coil_c for state in rig.safety_states()) < 50.0
+    live.cards.plug(31, "DAC", stream=ASYNC)
+    before_s, plugged_s = live.supervisor.engines.heard_s, time.monotonic()
+    live.until(DaemonState.RUNNING, 3.0)
+    live.run(1.5)
+    passed_s = time.monotonic() - plugged_s
+    assert live.supervisor.engines.heard_s - before_s < passed_s + AHEAD_S  # nothing is made up for
+    assert engine.delay_line.samplerate_out == FILE_RATE
+    for card in (30, 31):
+        vibration = live.heard(card)
+        assert np.abs(vibration).max() > 0.005
+        np.testing.assert_array_equal(vibration[:, 0], vibration[:, 1])
+    assert not (live.folder / "29.raw").exists()
+    assert live.supervisor.states.report(live.now_s()).recoveries[Cause.RESUMED] == 2 * is_suspend
+    assert rig._readings[0].coil_c < 50.0
+    assert rig.safety_states()[0].dose.time_s > dose_s
 
 
 @pytest.mark.parametrize("text", ["hw:0", "hw:DAC,1", "hw:CARD=DAC,DEV=0"])

@@ -6,84 +6,71 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
+from unittest.mock import Mock
 
 import pytest
 
-from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon import engines as engines_module
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.engines import Engines
+from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.native import chains as chains_module
 from audioflinger_hook.daemon.native.chains import RESTART_S, STUCK_S, Chains, RunningChain
-from audioflinger_hook.daemon.native.engine import NativeEngine
 from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns
 from audioflinger_hook.daemon.native.run import FAILURES_MAX, START_S, NativeRun
 from audioflinger_hook.daemon.native.taps import Tap
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
-from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
+from audioflinger_hook.daemon.run_config import RunConfig, changes_between
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
-from audioflinger_hook.service.state import StateKeeper
-from audioflinger_hook.sources import parse_tap
-from device.address import parse_device
+from audioflinger_hook.service.state import DaemonState, StateKeeper
 from device.errors import LostError
 from device.server import PulseConnection
 from device.server.graph import Graph
 from device.server.snapshot import Sink, Source
+from tests.support.run_configs import config
 
 SINK = Sink(1, "dac", "DAC", "dac.monitor", 48_000, 2, None, {}, "front-left,front-right")
 SOURCE = Source(2, "desk.monitor", "Desk", "desk", 48_000, 2, {}, "front-left,front-right")
-CONFIG = RunConfig(
-    parse_tap("default"), parse_device("sink:dac"), Settings(), LiveSettings(device="sink:dac")
-)
+CONFIG = config()
 PLAN = ChainPlan.of(Settings(), Tap("desk", ("FL", "FR"), "desk"), 48_000)
 
 
-class Engine:
+def native(error: LostError | None = None) -> Any:
     """Stands in for the native engine, which needs a server; only its answers count here."""
-
-    def __init__(self, error: LostError | None) -> None:
-        self.error = error
-        self.monitor_reason = ""
-        self.waits_for = ""
-        self.is_fed = True
-        self.watch, self.designs = SimpleNamespace(lost=False), SimpleNamespace(is_busy=False)
-
-    def use_monitor(self, reason: str) -> None:
-        self.monitor_reason = reason
-
-    def maintain(self, *_: object, **__: object) -> bool:
-        if self.error:
-            raise self.error
-        return False
-
-    def set_sound_gains(self, **_: float) -> None: ...
-
-    def unseen(self, *_: object) -> str:
-        return ""
-
-    def close(self) -> None: ...
+    one = Mock(monitor_reason="", waits_for="", is_fed=True)
+    one.watch.lost = one.designs.is_busy = False
+    one.unseen.return_value, one.maintain.return_value = "", False
+    one.maintain.side_effect = error
+    one.use_monitor.side_effect = lambda reason: setattr(one, "monitor_reason", reason)
+    return one
 
 
-def kept(engine: Engine, folder: Path, times_s: list[float]) -> Iterator[NativeRun]:
+def kept(
+    engine: Any,
+    folder: Path,
+    times_s: list[float],
+    source: Source | Applications = SOURCE,
+    players: frozenset[int] = frozenset(),
+) -> Iterator[NativeRun]:
     run = NativeRun(CONFIG, folder, StateKeeper(0.0), lambda: None, lambda *_: None)
     server = cast(PulseConnection, SimpleNamespace(set_sink_volume_db=lambda *_: None))
     for now_s in times_s:
-        run.engine = run.engine or cast(NativeEngine, engine)
-        run.maintain(SOURCE, SINK, frozenset(), server, DeviceVolume(None), (1.0, 1.0), now_s)
+        run.engine = run.engine or engine
+        run.maintain(source, SINK, players, server, DeviceVolume(None), (1.0, 1.0), now_s)
         yield run
 
 
 def test_after_some_failures_python_computes_and_the_reason_is_said(tmp_path):
-    engine = Engine(LostError("it crashed"))
+    engine = native(LostError("it crashed"))
     times_s = [0.1 * count for count in range(FAILURES_MAX)]
     problems = [run.problem for run in kept(engine, tmp_path, times_s)]
-    expected = "the native engine failed: it crashed"
-    assert problems == [""] * (FAILURES_MAX - 1) + [expected]
+    assert problems == [""] * (FAILURES_MAX - 1) + ["the native engine failed: it crashed"]
     assert engine.monitor_reason == "the native engine failed: it crashed"
 
 
 def test_a_start_that_takes_too_long_leads_to_the_monitor_then_to_python(tmp_path):
-    engine = Engine(None)
+    engine = native()
     times_s = [0.0, START_S - 0.1, START_S + 0.1, 2.0 * START_S, 2.0 * START_S + 0.3]
     ways, reason = [], ""
     for run in kept(engine, tmp_path, times_s):
@@ -93,10 +80,34 @@ def test_a_start_that_takes_too_long_leads_to_the_monitor_then_to_python(tmp_pat
     assert "did not start within 5 s" in reason
 
 
+def test_chosen_applications_are_never_tapped_by_the_monitor_which_has_all_sound(tmp_path):
+    late, lost = native(), native(LostError("it crashed"))
+    for engine, times_s in ((late, [0.0, START_S + 0.1]), (lost, [0.0, 0.1])):
+        (*_, run) = kept(engine, tmp_path, times_s, Applications(()))
+        assert run.problem
+        assert not engine.monitor_reason
+
+
+@pytest.mark.parametrize(
+    ("reason", "is_fed", "state"),
+    [
+        ("", False, DaemonState.IDLE),
+        ("", True, DaemonState.RUNNING),
+        ("refused", False, DaemonState.RUNNING),
+    ],
+)
+def test_streams_that_are_left_out_let_the_daemon_rest(tmp_path, reason, is_fed, state):
+    engine = native()
+    engine.maintain.return_value, engine.is_fed, engine.monitor_reason = True, is_fed, reason
+    (*_, run) = kept(engine, tmp_path, [0.0, 100.0], players=frozenset({9}))
+    assert run._states.state is state
+
+
 def test_a_chain_that_failed_once_begins_anew_with_the_streams(tmp_path):
-    engine = Engine(None)
+    engine = native()
     for run in kept(engine, tmp_path, [0.0, 0.9 * START_S, START_S + 0.1, START_S + 0.2]):
-        engine.error = LostError("it did not appear") if run._began_s == 0.0 else None
+        lost = LostError("it did not appear") if run._began_s == 0.0 else None
+        engine.maintain.side_effect = lost
     assert not engine.monitor_reason
 
 
@@ -111,21 +122,20 @@ def test_the_engine_is_chosen_when_a_server_or_a_config_begins_only(tmp_path, mo
         engines._choose(connection, SOURCE)
         return engines.reason
 
-    def follow(config: RunConfig) -> None:
-        engines.follow(config, ConfigDiff.between(CONFIG, config))
+    def follow(wanted: RunConfig) -> None:
+        engines.follow(wanted, changes_between(CONFIG, wanted))
 
     assert chosen(first) == ""
     engines.reason = "the native engine failed"
     follow(CONFIG)
     follow(replace(CONFIG, muted=True, settings=Settings(gain_db=-6.0)))
-    assert chosen(first) == "the native engine failed"
-    assert chosen(second) == ""
+    follow(replace(CONFIG, settings=Settings(profile="music")))
+    assert (chosen(first), chosen(second)) == ("the native engine failed", "")
     engines.reason = "the native engine failed"
     follow(replace(CONFIG, settings=Settings(damping="auto")))
     assert chosen(second) == ""
     engines._choose(second, replace(SOURCE, channels=10))
-    assert engines.reason == "the tap has 10 channels, more than 8"
-    assert chosen(second) == ""
+    assert (engines.reason, chosen(second)) == ("the tap has 10 channels, more than 8", "")
 
 
 @pytest.fixture
@@ -135,15 +145,10 @@ def chains(tmp_path):
 
 def chain(**changes: Any) -> RunningChain:
     """A linked chain, which began at 0 s."""
-    page = SimpleNamespace(
-        frames=48_000, faded_out=lambda _: False, set_sound_gain=lambda _: None, samplerate=48_000
-    )
-    known = {"page": page, "plan": PLAN, "is_stopped": False, "closed": []}
-    one = SimpleNamespace(**{**known, **changes})
-    one.check = lambda: None
+    one = Mock(**{"plan": PLAN, "is_stopped": False, "complaint": "the design is cut"} | changes)
+    one.page.frames = one.page.samplerate = 48_000
+    one.page.faded_out.return_value = False
     one.last_words = lambda: f": {one.complaint}"
-    one.complaint = "the design is cut"
-    one.close = lambda: one.closed.append(True)
     return RunningChain(cast(Any, one), 0.0, linked_s=0.0)
 
 
@@ -152,7 +157,7 @@ def test_a_chain_that_was_stopped_is_ended_and_lost(chains):
     with pytest.raises(LostError, match="was stopped"):
         chains.check(Graph(), 1.0, is_fed=True)
     assert chains.current is None
-    assert cast(Any, stopped.chain).closed
+    assert cast(Any, stopped.chain).close.called
 
 
 def waiting() -> RunningChain:
@@ -168,7 +173,7 @@ def test_a_process_that_pipewire_leaves_waiting_is_ended_once_without_a_word(cha
     assert chains.following is first
     chains.check(Graph(), 1.1 * RESTART_S, is_fed=False)
     assert chains.following is None
-    assert cast(Any, first.chain).closed
+    assert cast(Any, first.chain).close.called
     chains.following = second = waiting()
     chains.check(Graph(), 2.0 * RESTART_S, is_fed=False)
     assert chains.following is second

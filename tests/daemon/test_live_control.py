@@ -12,15 +12,12 @@ from typing import Any, cast
 import pytest
 
 from audioflinger_hook.config.edits import LiveEdits
-from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon import live_control
 from audioflinger_hook.daemon.live_control import LiveControl
-from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
-from audioflinger_hook.sources import TapAddress
-from device.address import DeviceAddress
 from tests.service.test_watch import Client
 from tests.support.commands import start, until
+from tests.support.run_configs import config
 
 CONFIG = """# mine
 gain_db = -3.0 # soft
@@ -56,8 +53,18 @@ class Daemon:
     def settings(self) -> Any:
         return self.watch("settings")
 
+    def shown(self, key: str) -> Any:
+        return next(one for one in self.settings()["keys"] if one["key"] == key)
+
     def value(self, key: str) -> Any:
-        return next(one for one in self.settings()["keys"] if one["key"] == key)["value"]
+        return self.shown(key)["value"]
+
+    def reason_at(self, offset_ms: float) -> str:
+        """Where the offset comes from, once it is this one."""
+        for _ in range(50):
+            if (found := self.watch("status"))["offset_ms"] == offset_ms:
+                return str(found["offset_reason"])
+        raise AssertionError(found)
 
 
 @pytest.fixture(scope="module")
@@ -81,21 +88,28 @@ def test_settings_come_with_the_schema_and_without_files_and_devices(daemon):
 
 
 def test_a_change_applies_at_once_and_the_file_changes_only_by_save(daemon):
-    assert daemon.ask(set={"gain_db": -9}) == {"done": True}
-    assert daemon.value("gain_db") == -9
-    assert daemon.config.read_text() == CONFIG
-    assert daemon.settings()["unsaved"] == 1
+    assert (daemon.ask(set={"gain_db": -9}), daemon.value("gain_db")) == ({"done": True}, -9)
+    assert (daemon.config.read_text(), daemon.settings()["unsaved"]) == (CONFIG, 1)
     assert daemon.ask(save=True) == {"done": True}
     assert daemon.config.read_text() == CONFIG.replace("-3.0", "-9.0")
-    assert daemon.ask(undo=True) == {"done": True}
-    assert daemon.value("gain_db") == -3.0
-    assert daemon.ask(save=True) == {"done": True}
-    assert daemon.config.read_text() == CONFIG
+    assert (daemon.ask(undo=True), daemon.value("gain_db")) == ({"done": True}, -3.0)
+    assert (daemon.ask(save=True), daemon.config.read_text()) == ({"done": True}, CONFIG)
     assert daemon.value("offset_ms") == 20  # of an option, which a page wins over
-    assert daemon.ask(set={"offset_ms": 5}) == {"done": True}
-    assert daemon.value("offset_ms") == 5
+    assert (daemon.ask(set={"offset_ms": 5}), daemon.value("offset_ms")) == ({"done": True}, 5)
     daemon.ask(undo=True)
     assert daemon.value("offset_ms") == 20
+
+
+def test_an_unsaved_value_comes_with_what_the_file_says(daemon):
+    assert daemon.ask(set={"gain_db": -9, "profile": "music"}) == {"done": True}
+    gain, profile = daemon.shown("gain_db"), daemon.shown("profile")
+    assert (gain["value"], gain["unsaved"], gain["file"]) == (-9, True, -3.0)
+    assert (profile["unsaved"], profile["file"]) == (True, None)
+    assert daemon.ask(set={"gain_db": -3, "profile": None}) == {"done": True}
+    assert not daemon.shown("gain_db")["unsaved"]
+    assert daemon.settings()["unsaved"] == 0
+    for _ in range(2):
+        assert daemon.ask(undo=True) == {"done": True}
 
 
 @pytest.mark.parametrize(
@@ -110,8 +124,7 @@ def test_a_change_applies_at_once_and_the_file_changes_only_by_save(daemon):
         ({"rig": "/etc/passwd"}, "'rig' cannot be changed while the daemon runs"),
         ({"device": "hw:0"}, "'device' cannot be changed"),
         ({"transform.channels": "each"}, "cannot change while 'scene:demo' is in use"),
-        ({}, "set takes 1 to 16 keys"),
-        ([], "set takes 1 to 16 keys"),
+        *(({}, "set takes 1 to 16 keys"), ([], "set takes 1 to 16 keys")),
         ({"gain_db": [[]] * 50}, "is not a number"),
     ],
 )
@@ -124,21 +137,86 @@ def test_what_the_config_refuses_is_refused_in_its_words(daemon, changes, words)
 @pytest.mark.parametrize(
     "request_",
     [
-        {},
-        {"set": {"gain_db": 0}, "undo": True},
-        {"mute": 1},
-        {"application": 5, "felt": True},
-        {"application": "x", "felt": None},
-        {"application": " ", "felt": True},
-        {"tone": {"hz": 5}},
+        *({}, {"set": {"gain_db": 0}, "undo": True}, {"mute": 1}),
+        *({"application": "x", "felt": True}, {"application": {"match": "x"}}),
+        {"application": {"match": 5, "feel": True}},
+        {"application": {"match": " ", "feel": True}},
+        {"application": {"match": "x", "feel": 1}},
+        {"application": {"match": "x", "feel": False, "profile": "game"}},
+        {"application": {"match": "x", "profile": "nix"}},
+        {"application": {"match": "x", "gain_db": 3}},
+        {"application": {"match": "x", "level": 3}},
+        {"application": {"match": "x", "profile": [["game"]]}},
+        *({"application": {"match": "x", "feel": {"a": 1}}}, {"tone": {"hz": 5}}),
         {"tone": {"hz": 60, "level": 2}},
         {"tone": {"hz": 60}},  # the simulated cushion plays none
+        *({"sync": 5}, {"sync": {}}, {"sync": {"try_ms": 5, "store_ms": 5}}, {"sync": {"try": 5}}),
+        *({"sync": {"try_ms": "auto"}}, {"sync": {"try_ms": True}}, {"sync": {"try_ms": 1e9}}),
+        {"sync": {"try_ms": -5}},  # without drop-in mode
+        {"sync": {"store_ms": None}},
+        {"sync": {"store_ms": 5}},  # this run has no two sinks
     ],
 )
 def test_a_request_that_is_none_changes_nothing(daemon, request_):
     before = daemon.settings()
     assert daemon.ask(**request_)["error"]
     assert daemon.settings() == before
+
+
+def test_a_rule_of_an_application_applies_is_undone_and_goes_to_the_file_only_by_save(daemon):
+    def rule(**values):
+        return daemon.ask(application={"match": "Film", **values})
+
+    def rules():
+        settings = daemon.settings()
+        said = [{n: v for n, v in one.items() if v not in (None, 0.0)} for one in settings["rules"]]
+        return said, settings["unsaved_rules"]
+
+    assert (rules(), rule(profile="game")) == (([], []), {"done": True})
+    assert rules() == ([{"match": "Film", "profile": "game"}], ["Film"])
+    assert rule(gain_db=-3) == {"done": True}
+    assert rules()[0] == [{"match": "Film", "profile": "game", "gain_db": -3.0}]
+    assert (daemon.config.read_text(), daemon.ask(save=True)) == (CONFIG, {"done": True})
+    saved = f'{CONFIG}\n[[application]]\nmatch = "Film"\nprofile = "game"\ngain_db = -3\n'
+    assert (daemon.config.read_text(), rules()[1]) == (saved, [])
+    assert daemon.ask(application={"match": "film ", "feel": False}) == {"done": True}
+    assert (rules(), daemon.settings()["unsaved"]) == (([{"match": "Film"}], ["Film"]), 1)
+    assert (rule(feel=True), rules()[0]) == ({"done": True}, [{"match": "Film", "feel": True}])
+    assert (rule(feel=None), rules()) == ({"done": True}, ([], ["Film"]))
+    for _ in range(3):
+        assert daemon.ask(undo=True) == {"done": True}
+    assert rules()[1] == []
+    for _ in range(2):
+        assert daemon.ask(undo=True) == {"done": True}
+    assert (rules(), daemon.ask(save=True)) == (([], ["Film"]), {"done": True})
+    assert daemon.config.read_text() == CONFIG
+
+
+def test_what_the_config_says_of_a_rule_is_said_of_a_rule_of_the_page(daemon):
+    answer = daemon.ask(application={"match": "x", "profile": "cinma"})
+    assert answer["key"] == "application:x"
+    assert 'application[1].profile = "cinma" is not known' in answer["error"]
+    assert "did you mean cinema?" in answer["error"]
+
+
+def test_the_mixed_sound_leaves_an_application_out_by_a_capture_of_the_others(control):
+    control._supervisor.is_mixed = True
+    asked = control._carry_out({"application": {"match": "Film", "feel": False}})
+    assert (asked, control._edits.values) == ({"done": True}, {"applications.exclude": ("Film",)})
+    control._supervisor.is_mixed = False
+    control._carry_out({"application": {"match": "Film", "feel": True}})
+    assert control._edits.values["application:Film"] == {"feel": True}
+
+
+def test_an_offset_on_trial_plays_and_is_none_of_the_config_but_auto_is(daemon):
+    assert daemon.ask(sync={"try_ms": 120}) == {"done": True}
+    assert (daemon.reason_at(120.0), daemon.value("offset_ms")) == ("set in the config", 20)
+    assert (daemon.settings()["unsaved"], daemon.ask(sync={"try_ms": None})) == (0, {"done": True})
+    assert daemon.reason_at(20.0) == "set in the config"
+    assert daemon.ask(set={"offset_ms": "auto"}) == {"done": True}
+    assert (daemon.value("offset_ms"), daemon.reason_at(0.0)) == ("auto", "not known")
+    daemon.ask(undo=True)
+    assert daemon.value("offset_ms") == 20
 
 
 def test_mute_silences_and_is_not_saved(daemon):
@@ -159,8 +237,7 @@ def test_mute_works_while_the_file_has_mistakes_and_changes_nothing_else(daemon)
         assert daemon.ask(mute=True) == {"done": True}
         assert daemon.settings()["muted"]
         daemon.config.write_text("gain_db = 0.0\n")
-        assert daemon.ask(mute=False) == {"done": True}
-        assert daemon.value("gain_db") == before
+        assert (daemon.ask(mute=False), daemon.value("gain_db")) == ({"done": True}, before)
     finally:
         daemon.config.write_text(text)
 
@@ -168,11 +245,10 @@ def test_mute_works_while_the_file_has_mistakes_and_changes_nothing_else(daemon)
 @pytest.fixture
 def control(tmp_path):
     """What controls a daemon on a sink; nothing carries out its requests but `work`."""
-    device = DeviceAddress("sink", "a")
-    config = RunConfig(TapAddress("default"), device, Settings(), LiveSettings())
+    order = config("sink:a")
     supervisor = cast(Supervisor, SimpleNamespace(endpoints=(("default", "b"), ("sink:a", "a"))))
     edits = LiveEdits(tmp_path / "config.toml")
-    made = LiveControl(supervisor, edits, lambda *_: config, lambda: None, config)
+    made = LiveControl(supervisor, edits, lambda *_: order, lambda: None, order)
     yield made
     made.close()
 
@@ -213,6 +289,5 @@ def test_a_file_that_cannot_be_written_is_told_and_nothing_is_lost(daemon):
     daemon.config.rmdir()
     kept.rename(daemon.config)
     assert "config.toml" in error
-    assert daemon.settings()["unsaved"] == 1
-    assert daemon.ask(undo=True) == {"done": True}
+    assert (daemon.settings()["unsaved"], daemon.ask(undo=True)) == (1, {"done": True})
     assert daemon.config.read_text() == text

@@ -15,37 +15,30 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.core.structures import PARTIALS
 from audioflinger_hook.daemon.engine import FADE_S, SoftFade
 from audioflinger_hook.daemon.native import abilities
 from audioflinger_hook.daemon.native import layout as layout_module
 from audioflinger_hook.daemon.native import plan as module
-from audioflinger_hook.daemon.native.abilities import (
-    check_engine,
-    missing_parts,
-    why_not_server,
-    why_not_tap,
-    why_python,
-)
 from audioflinger_hook.daemon.native.chains import Chains
 from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.native.plan import LONGEST_WAIT_S, ChainPlan, DriveDesigns
 from audioflinger_hook.daemon.native.run import NativeRun
 from audioflinger_hook.daemon.native.taps import Tap, in_mixing_order, port_names, tap_of
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
-from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import StateKeeper
-from audioflinger_hook.sources import parse_tap
-from device.address import parse_device
 from device.drive import ActuatorSettings
 from device.drive.channel_positions import actuators_of_channels
-from device.drive.design import DriveDesign, DrivePlan
+from device.drive.design import DriveDesign, DrivePlan, design_of
 from device.errors import LostError, NotFoundError, UsageError
 from device.layouts import layout
 from device.server import PulseConnection
 from device.server.snapshot import ServerSnapshot, Sink, Source
+from device.units import db_to_amplitude
+from tests.support.alsa_files import until
 from tests.support.programs import printed
+from tests.support.run_configs import config
 
 STEREO = "front-left,front-right"
 SURROUND = "front-left,front-right,front-center,lfe,rear-left,rear-right"
@@ -59,12 +52,6 @@ def sink(channel_map: str = STEREO) -> Sink:
 def monitor(channel_map: str = STEREO) -> Source:
     count = channel_map.count(",") + 1
     return Source(2, "desk.monitor", "Desk", "desk", 48_000, count, {}, channel_map)
-
-
-def config(settings: Settings | None = None, device: str = "sink:dac", **live: Any) -> RunConfig:
-    chosen = LiveSettings(device=device, **live)
-    tap, target = parse_tap(chosen.tap[0]), parse_device(device)
-    return RunConfig(tap, target, settings or Settings(), chosen)
 
 
 TWO = (ActuatorSettings((0,), protection="on"), ActuatorSettings((1,), "left"))
@@ -81,22 +68,25 @@ NO_SERVER = "there is no sound server"
     ],
 )
 def test_the_first_thing_that_the_native_engine_cannot_do_is_named(changes, reason):
-    assert why_python(config(Settings(**changes)), None) == reason
+    assert abilities.why_python(config(settings=Settings(**changes)), None) == reason
 
 
 @pytest.mark.parametrize(
     ("kind", "version", "reason"),
     [
-        ("PipeWire", "0.3.65", ""),
-        ("PipeWire", "1.2.0", ""),
+        *(("PipeWire", "0.3.65", ""), ("PipeWire", "1.2.0", "")),
         ("PipeWire", "0.3.48", "PipeWire 0.3.48 is too old; 0.3.50 or newer is needed"),
-        ("PipeWire", "?", ""),
-        ("PulseAudio", "16.1", "the sound server is PulseAudio"),
+        *(("PipeWire", "?", ""), ("PulseAudio", "16.1", "the sound server is PulseAudio")),
     ],
 )
 def test_an_old_or_another_server_is_named_and_a_tap_of_over_eight_channels(kind, version, reason):
-    assert why_not_server(ServerSnapshot(kind, version, "", "", (), (), (), (), 0)) == reason
-    assert (why_not_tap(8), why_not_tap(9)) == ("", "the tap has 9 channels, more than 8")
+    assert (
+        abilities.why_not_server(ServerSnapshot(kind, version, "", "", (), (), (), (), 0)) == reason
+    )
+    assert (abilities.why_not_tap(8), abilities.why_not_tap(9)) == (
+        "",
+        "the tap has 9 channels, more than 8",
+    )
 
 
 def test_missing_parts_are_named_with_what_to_install(monkeypatch, tmp_path):
@@ -105,13 +95,13 @@ def test_missing_parts_are_named_with_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setattr(shutil, "which", lambda program: program)
     monkeypatch.setattr(abilities, "MODULE_FOLDERS", (str(folder),))
     folder.mkdir()
-    assert "libpipewire-module-filter-chain.so is missing" in missing_parts()
+    assert "libpipewire-module-filter-chain.so is missing" in abilities.missing_parts()
     (folder / abilities.FILTER_CHAIN).touch()
-    assert missing_parts() == ""
+    assert abilities.missing_parts() == ""
     monkeypatch.setattr(shutil, "which", lambda program: None)
-    assert "the program pipewire is missing; install" in missing_parts()
+    assert "the program pipewire is missing; install" in abilities.missing_parts()
     monkeypatch.setattr(abilities, "plugin_path", lambda: None)
-    assert "the plugin is not built; run `make run`" in missing_parts()
+    assert "the plugin is not built; run `make run`" in abilities.missing_parts()
 
 
 @given(st.integers(1, 8))
@@ -168,17 +158,36 @@ def test_a_page_is_private_and_its_file_goes_with_it(tmp_path):
     assert path.stat().st_mode & 0o777 == 0o600
     with pytest.raises(FileExistsError):
         Page(path, 2, 1, [0])
-    page.set_actuator(0, -0.5, 9.0)
-    page.set_audible(True)
     assert page.frames == 0
     page.close()
     page.close()
     assert not path.exists()
 
 
+def test_a_gain_rises_in_a_design_with_another_protection_only_once_that_one_plays(tmp_path):
+    page = Page(tmp_path / "page", 2, 1, [0])
+    chains = Chains(
+        config(settings=Settings(gain_db=-20.0)), tmp_path, lambda *_: None, DriveDesigns()
+    )
+    plan = ChainPlan.of(Settings(), Tap("desk", ("FL", "FR"), "desk"), 48_000)
+    chain = cast(Any, SimpleNamespace(page=page, design=SimpleNamespace(plan=plan)))
+    chains.current = cast(Any, SimpleNamespace(chain=chain))
+    for protection, gain_db, playing_db, next_db in (
+        ("off", -20.0, -20.0, -20.0),
+        ("on", -6.0, -20.0, -6.0),
+        ("on", -40.0, -40.0, -40.0),
+        ("off", -6.0, -6.0, -6.0),
+    ):
+        rig: Any = {"rig": "consumer", "protection": protection} if protection == "on" else {}
+        chains.follow(config(settings=Settings(gain_db=gain_db, **rig)))
+        gains = [bank.controls.actuators[0].gain for bank in page.layout.banks]
+        assert gains == pytest.approx([db_to_amplitude(playing_db), db_to_amplitude(next_db)])
+    page.close()
+
+
 def test_levels_are_read_and_partials_unless_they_are_being_written(tmp_path):
     page = Page(tmp_path / "page", 2, 1, [0])
-    told = page._page.readings
+    told = page.readings
     assert page.principal() == []
     told.sequence, told.partials_count = 2, 1
     told.partials[0][:] = (440.0, 100.0, 0.25)
@@ -190,7 +199,7 @@ def test_levels_are_read_and_partials_unless_they_are_being_written(tmp_path):
     assert len(page.principal()) == PARTIALS
     page.close()
     page = Page(tmp_path / "page", 2, 1, [0, 0])  # levels of each channel and actuator
-    readings = page._page.readings
+    readings = page.readings
     readings.sound[1].peak, readings.sound[1].mean_square = 0.5, 0.125
     level = readings.actuators[1].level
     level.peak, level.mean_square = 0.25, 0.03
@@ -242,17 +251,15 @@ def test_the_volume_is_set_again_on_another_server_that_gives_the_same_index(tmp
 @pytest.mark.parametrize(
     ("tap", "device", "is_refused"),
     [
-        ("default", "sink:dac", True),
-        ("app:mpv", "sink:dac", True),
-        ("default", "hw:DAC", True),
-        ("app:mpv", "hw:DAC", False),
+        *(("default", "sink:dac", True), ("app:mpv", "sink:dac", True)),
+        *(("default", "hw:DAC", True), ("app:mpv", "hw:DAC", False)),
     ],
 )
 def test_a_python_engine_without_alsas_plugin_is_refused(tap, device, is_refused, monkeypatch):
     monkeypatch.setattr(abilities, "missing_plugin", lambda: "the plugin is missing")
     refused = pytest.raises(NotFoundError, match=r"engine = 'python'.*the plugin is missing")
     with refused if is_refused else nullcontext():
-        check_engine(config(device=device, tap=(tap,), engine="python"), None)
+        abilities.check_engine(config(device=device, tap=(tap,), engine="python"), None)
 
 
 CARE = {"protection": "on", "damping": "auto", "exposure_cap": "action"}
@@ -279,9 +286,8 @@ def test_designs_of_a_process_are_those_that_would_be_made_here():
     for plan, design in ((PAPER, found[0]), (CONSUMER, found[2])):
         assert plan
         assert design
-        here = plan.design()
-        assert design == here
-        assert design.worst_second == here.worst_second
+        here = design_of(plan)
+        assert (design, design.worst_second) == (here, here.worst_second)
         assert design.bounds().warmest == here.bounds().warmest
         for name, value in here.records.items():
             np.testing.assert_array_equal(design.records[name], value)
@@ -336,13 +342,15 @@ def test_a_chain_plays_on_where_the_next_ones_design_fails(tmp_path, monkeypatch
     wanted = ChainPlan.of(Settings(**cast(Any, CARE)), tap, 48_000)
     chains = Chains(config(), tmp_path, lambda *_: None, DriveDesigns())
     monkeypatch.setattr(module, "designs_of", failing)
-    current: Any = SimpleNamespace(chain=SimpleNamespace(plan=before), stands_s=lambda _: 0.0)
+    chain = Mock(plan=before, is_changing=False)
+    current: Any = SimpleNamespace(chain=chain, stands_s=lambda _: 0.0)
     chains.current = current
-    deadline_s = time.monotonic() + 20.0
-    while not chains.problem:
+
+    def problem() -> str:
         chains.make(wanted, time.monotonic())
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
+        return chains.problem
+
+    until(problem)
     assert chains.problem == (
         "the former settings play on: damping and protection cannot be computed: "
         "ZeroDivisionError: no design"
@@ -352,11 +360,8 @@ def test_a_chain_plays_on_where_the_next_ones_design_fails(tmp_path, monkeypatch
     chains.make(before, time.monotonic())
     assert not chains.problem
     chains.current = None  # nothing plays: the engine fails
-    with pytest.raises(LostError, match="cannot be computed"):  # noqa: PT012
-        while True:
-            chains.make(wanted, time.monotonic())
-            assert time.monotonic() < deadline_s
-            time.sleep(0.01)
+    with pytest.raises(LostError, match="cannot be computed"):
+        until(lambda: chains.make(wanted, time.monotonic()))
 
 
 def test_the_daemon_does_not_import_what_takes_most_memory():

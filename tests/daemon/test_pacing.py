@@ -17,9 +17,7 @@ class Blocks:
     def __init__(self, frames: int = BLOCK, blocks: int | None = None) -> None:
         self.error: Exception | None = None
         self.done_s: list[float] = []
-        self._played = FrameTime(RATE_HZ)
-        self._frames = frames
-        self._blocks = blocks
+        self._played, self._frames, self._blocks = FrameTime(), frames, blocks
 
     @property
     def due_s(self) -> float:
@@ -49,8 +47,7 @@ def played(made: Pacer, until_s: float, late_s: float = 0.0) -> None:
 
 @pytest.mark.exhaustive
 def test_a_day_of_blocks_ends_on_the_sample():
-    clock = FrameTime(44_100)
-    blocks = 24 * 3_600 * 44_100 // BLOCK
+    clock, blocks = FrameTime(), 24 * 3_600 * 44_100 // BLOCK
     for _ in range(blocks):
         clock.add(BLOCK, 44_100)
     assert clock.after(0, 44_100) == blocks * BLOCK / 44_100
@@ -86,8 +83,7 @@ def test_jobs_are_done_in_the_order_of_their_due_times_even_after_a_stall():
 
 def test_after_a_stall_all_is_made_up_for_in_bursts_and_nothing_is_left_out():
     job = Blocks()
-    made = pacer(job)
-    stall_s = 0.9 * LATE_MAX_S
+    made, stall_s = pacer(job), 0.9 * LATE_MAX_S
     assert made.step(stall_s) == BREATH_S  # others have their turn
     assert len(job.done_s) == BURST
     for _ in range(10):
@@ -107,8 +103,7 @@ def test_a_long_stall_is_a_pause_for_all_jobs_alike():
     assert len(other.done_s) - before[1] <= 1
     assert 0.0 < wait_s <= 960 / RATE_HZ
     # their distance is what it was: the next due times differ by less than a block of each
-    steps = [made.step(1_000.0 + 0.001 * n) for n in range(100)]
-    assert max(steps) <= 256 / RATE_HZ + 1e-9
+    assert max(made.step(1_000.0 + 0.001 * n) for n in range(100)) <= 256 / RATE_HZ + 1e-9
 
 
 def test_what_a_job_raises_ends_it_and_no_other():
@@ -122,14 +117,11 @@ def test_what_a_job_raises_ends_it_and_no_other():
     assert isinstance(bad.error, OSError)
     assert not made.is_doing(bad)
     assert not made.is_doing(good)
-    assert len(good.done_s) == 3
-    assert played_to == float("inf")
+    assert (len(good.done_s), played_to) == (3, float("inf"))
 
 
 def test_its_thread_keeps_real_time_and_an_ended_job_rests_until_it_is_begun_again():
-    job = Blocks()
-    made = Pacer(time.monotonic)
-    began_s = time.monotonic()
+    job, made, began_s = Blocks(), Pacer(time.monotonic), time.monotonic()
     made.begin(job, began_s)
     reached = threading.Event()
     while len(job.done_s) < 100:

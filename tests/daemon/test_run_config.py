@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
-from audioflinger_hook.daemon.engine import Clocks, Engine
-from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
+from audioflinger_hook.daemon.capture_queue import Feed
+from audioflinger_hook.daemon.engine import Engine
+from audioflinger_hook.daemon.run_config import Change, RunConfig, changes_between, words_of
 from audioflinger_hook.sources import PushTap, TapAddress, TapClient
 from audioflinger_hook.transform import TransformParameters
 from device.address import DeviceAddress
 from device.drive import ActuatorSettings
 from device.errors import UsageError
 from device.units import Float32Array
+from tests.daemon.test_capture_queue import BLOCK, BLOCK_S, RATE_HZ, STILL, Live, music
 
-RATE_HZ = 48_000
-BLOCK = 256
+MUSIC = music(1.0)
 ORDER = RunConfig(TapAddress("default"), DeviceAddress("sink", "a"), Settings(), LiveSettings())
 
 
@@ -34,15 +35,14 @@ LEFT, RIGHT = ActuatorSettings((0,), "left"), ActuatorSettings((1,), "right")
 SOFTER = replace(LEFT, gain_db=-3.0, polarity="inverted", delay_ms=4.0, channels=(3,))
 BOTH = (LEFT, RIGHT)
 SWAPPED = (replace(LEFT, source="right"), replace(RIGHT, source="left"))
-EVERYTHING = "the effects, which restart everything"
-TRANSFORM = "the transform, which restarts"
+EVERYTHING = "the effects"
+TRANSFORM = "the transform"
 
 
 @pytest.mark.parametrize(
     ("order", "changed", "words"),
     [
-        (ORDER, "", "nothing"),
-        (wishing(gain_db=-3.0), "level", "the level"),
+        *((ORDER, "", "nothing"), (wishing(gain_db=-3.0), "level", "the level")),
         (wishing(parameters=TransformParameters(partials_max=3)), "transform", TRANSFORM),
         (wishing(profile="game"), "transform", TRANSFORM),
         (wishing(form="reference", gain_db=-1.0), "level engine", f"the level, {EVERYTHING}"),
@@ -52,141 +52,82 @@ TRANSFORM = "the transform, which restarts"
         (replace(ORDER, device=DeviceAddress("sink", "b")), "device", "the device"),
         (living(offset_ms=5.0), "offset", "the offset"),
         (living(device_volume_db=-6.0), "volume", "the device's volume"),
-        (living(block_frames=256), "blocks", None),
-        (living(realtime=False), "priority", None),
     ],
 )
 def test_an_order_changes_what_is_another_in_it(order, changed, words):
-    found = ConfigDiff.between(ORDER, order)
-    assert found == ConfigDiff(**dict.fromkeys(changed.split(), True))
-    assert found.any == bool(changed)
-    assert words in (None, str(found))
+    found = changes_between(ORDER, order)
+    assert {change.name.lower() for change in found} == {*changed.split()}
+    assert words_of(found) == words
 
 
 @pytest.mark.parametrize(
     ("before", "after", "changed"),
     [
-        ((LEFT,), (LEFT,), ConfigDiff()),
-        (BOTH, (SOFTER, RIGHT), ConfigDiff(actuators=True)),
-        (BOTH, SWAPPED, ConfigDiff(actuators=True)),
-        (BOTH, (LEFT, replace(RIGHT, source="left")), ConfigDiff(engine=True)),
-        ((LEFT,), BOTH, ConfigDiff(engine=True)),
-        ((), (LEFT,), ConfigDiff(engine=True)),
-        ((LEFT,), (), ConfigDiff(engine=True)),
-        ((LEFT,), (replace(LEFT, rig="consumer"),), ConfigDiff(engine=True)),
-        ((LEFT,), (replace(LEFT, damping="auto", gain_db=-1.0),), ConfigDiff(engine=True)),
-        ((LEFT,), (replace(LEFT, protection="on"),), ConfigDiff(engine=True)),
+        *(((LEFT,), (LEFT,), set()), (BOTH, (SOFTER, RIGHT), {Change.ACTUATORS})),
+        (BOTH, SWAPPED, {Change.ACTUATORS}),
+        (BOTH, (LEFT, replace(RIGHT, source="left")), {Change.ENGINE}),
+        *(((LEFT,), BOTH, {Change.ENGINE}), ((), (LEFT,), {Change.ENGINE})),
+        ((LEFT,), (), {Change.ENGINE}),
+        ((LEFT,), (replace(LEFT, rig="consumer"),), {Change.ENGINE}),
+        ((LEFT,), (replace(LEFT, damping="auto", gain_db=-1.0),), {Change.ENGINE}),
+        ((LEFT,), (replace(LEFT, protection="on"),), {Change.ENGINE}),
     ],
 )
 def test_actuators_follow_while_they_play_unless_others_are_to_be_there(before, after, changed):
-    found = ConfigDiff.between(wishing(actuators=before), wishing(actuators=after))
+    found = changes_between(wishing(actuators=before), wishing(actuators=after))
     assert found == changed
-    assert (str(found) == "the actuators") == changed.actuators
+    assert (words_of(found) == "the actuators") == (changed == {Change.ACTUATORS})
 
 
-class Live:
-    """An engine that hears one long tone, block by block; keeps the vibration that it sends."""
-
-    def __init__(self, settings: Settings | None = None) -> None:
-        self.tap = PushTap(RATE_HZ, 2)
-        self.sent: list[Float32Array] = []
-        self.engine = Engine(
-            TapClient(self.tap),
-            RATE_HZ,
-            settings,
-            clocks=Clocks(lambda: 0.0, lambda: 0.0),
-            on_step=lambda audio, vibration, now_s: self.sent.append(vibration.copy()),
-        )
-        self.blocks = 0
-
-    def hear(self, seconds: float) -> Float32Array:
-        """The vibration of so much more of the tone."""
-        began = len(self.sent)
-        for _ in range(round(seconds * RATE_HZ / BLOCK)):
-            at = (self.blocks * BLOCK + np.arange(BLOCK)) / RATE_HZ
-            wave = (0.3 * np.sin(2.0 * np.pi * 440.0 * at)).astype(np.float32)
-            self.tap.push(np.column_stack([wave, wave]))
-            self.engine.advance(self.blocks * BLOCK / RATE_HZ)
-            self.blocks += 1
-        return np.concatenate(self.sent[began:])[:, 0]
+def hear(live: Live, blocks: range) -> Float32Array:
+    """The vibration of these blocks of the music."""
+    begun = len(live.felt)
+    for block in blocks:
+        live.feed.push(MUSIC[block * BLOCK : (block + 1) * BLOCK], block * BLOCK_S)
+    return np.concatenate(live.felt[begun:])[:, 0]
 
 
 def rms(frames: Float32Array) -> float:
     return float(np.sqrt(np.mean(np.square(frames, dtype=np.float64))))
 
 
-def test_another_level_is_reached_over_one_block_and_nothing_else_changes():
-    live, unchanged = Live(), Live()
-    live.hear(0.5)
-    unchanged.hear(0.5)
-    live.engine.framework.change(Settings(gain_db=-20.0))
-    vibration, whole = live.hear(0.5), unchanged.hear(0.5)
-    ramp = 1.0 + (0.1 - 1.0) * np.arange(1, BLOCK + 1) / BLOCK
-    assert np.allclose(vibration[:BLOCK], whole[:BLOCK] * ramp, atol=1e-7)
-    assert np.allclose(vibration[BLOCK:], whole[BLOCK:] * 0.1, atol=1e-7)
-    # chosen from the start, it holds from the first frame on
-    soft = Live(Settings(gain_db=-20.0)).hear(0.5)
-    assert np.allclose(0.1 * Live().hear(0.5), soft, atol=1e-7)
-
-
 def test_other_parameters_fade_the_vibration_out_and_begin_anew():
-    live = Live()
-    live.hear(0.5)
+    live = Live(Feed())
+    hear(live, range(90))
     top = TransformParameters(vibration_top_hz=120.0)
     live.engine.framework.change(Settings(parameters=top))
-    began = live.blocks
-    vibration = live.hear(0.5)
+    vibration = hear(live, range(90, 180))
     assert np.abs(vibration[: BLOCK // 2]).max() > 1e-3
     assert abs(vibration[BLOCK - 1]) < 1e-6
-    # It begins anew: as another effect that first hears the rest of the tone.
-    fresh = Live(Settings(parameters=top))
-    fresh.blocks = began + 1
-    rest = [fresh.hear(BLOCK / RATE_HZ) for _ in range(live.blocks - began - 1)]
-    assert np.array_equal(vibration[BLOCK:], np.concatenate(rest))
+    # It begins anew: as another effect that first hears the rest of the music.
+    fresh = Live(Feed(), Settings(parameters=top))
+    assert np.array_equal(vibration[BLOCK:], hear(fresh, range(91, 180)))
     assert rms(vibration[-RATE_HZ // 10 :]) > 1e-2
 
 
 def test_of_many_changes_between_two_blocks_the_last_one_counts():
-    live = Live()
-    loud = rms(live.hear(0.5))
-    for gain_db in range(-60, 0):
+    live, plain = Live(Feed()), Live(Feed())
+    for gain_db in (*range(-60, 0), -20):
         live.engine.framework.change(Settings(gain_db=float(gain_db)))
-    live.engine.framework.change(Settings(gain_db=-20.0))
-    live.hear(0.1)
-    assert rms(live.hear(0.5)) == pytest.approx(0.1 * loud, rel=0.05)
+    vibration, loud = hear(live, range(180)), hear(plain, range(180))
+    assert rms(vibration[BLOCK:]) == pytest.approx(0.1 * rms(loud[BLOCK:]), rel=0.05)
     assert live.engine.framework.mixer.failed_events == 0
 
 
 def test_parameters_that_the_mix_cannot_have_are_refused_and_nothing_changes():
-    tap = PushTap(8_000, 1)
-    clocks = Clocks(lambda: 0.0, lambda: 0.0)
     narrow = Settings(parameters=TransformParameters(band_high_hz=3_000.0))
-    engine = Engine(TapClient(tap), 8_000, narrow, clocks=clocks)
-    wrong = TransformParameters(band_low_hz=900.0, band_high_hz=1_900.0, window_s=0.2)
-    framework = engine.framework
-    framework.change(Settings(parameters=wrong))
-    assert framework.settings.parameters == wrong
-    low = Engine(TapClient(PushTap(1_000, 1)), 1_000, narrow, clocks=clocks).framework
+    low = Engine(TapClient(PushTap(1_000, 1)), 1_000, narrow, clocks=STILL).framework
+    wrong = TransformParameters(band_low_hz=600.0, band_high_hz=1_900.0, window_s=0.2)
     with pytest.raises(UsageError, match="1000 Hz"):
-        low.change(Settings(parameters=replace(wrong, band_low_hz=600.0)))
+        low.change(Settings(parameters=wrong))
     assert low.settings == narrow
     assert low.mixer.cycle(0.0).frames_written
 
 
-def test_what_an_engine_cannot_have_changes_neither_level_nor_offset():
-    live = Live()
-    with pytest.raises(UsageError, match="offset_s"):
-        live.engine.follow(Settings(gain_db=-20.0), 5.0)
-    assert live.engine.framework.settings == Settings()
-    live.engine.follow(Settings(gain_db=-20.0), 0.5)
-    assert live.engine.delay_line.offset_s == 0.5
-    assert live.engine.framework.settings.gain_db == -20.0
-
-
 @pytest.mark.parametrize(("samplerate", "block"), [(RATE_HZ, 1_024), (44_100, BLOCK)])
 def test_other_blocks_or_rates_take_another_delay_line_with_the_same_offset(samplerate, block):
-    live = Live()
-    live.hear(0.2)
+    live = Live(Feed())
+    hear(live, range(40))
     live.engine.delay_line.offset_s = 0.1
     before = live.engine.delay_line
     live.engine.retarget(RATE_HZ, BLOCK)
@@ -196,4 +137,4 @@ def test_other_blocks_or_rates_take_another_delay_line_with_the_same_offset(samp
     assert after is not before
     assert (after.samplerate_out, after.offset_s) == (samplerate, 0.1)
     assert after.status.target_s > 0.1 + 2.5 * block / RATE_HZ
-    assert rms(live.hear(0.2)) > 1e-3
+    assert rms(hear(live, range(40, 80))) > 1e-3

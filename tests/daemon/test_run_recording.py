@@ -59,8 +59,7 @@ class Run:
 
 
 def recorded(folder: Path, stream: str) -> Float32Array:
-    buffers = [buffer.frames for buffer in Capture(folder).buffers(stream)]
-    return np.concatenate(buffers)
+    return np.concatenate([buffer.frames for buffer in Capture(folder).buffers(stream)])
 
 
 def same_again(folder: Path, out: Path) -> int:
@@ -71,10 +70,7 @@ def same_again(folder: Path, out: Path) -> int:
 
 
 def overlap(folder: Path, out: Path, report: str) -> int:
-    """How many frames the recorded effect and its replay have in common, bit for bit: all.
-
-    report: what `cushion replay --json` said of it. The replay has no latency.
-    """
+    """How many frames a recorded effect and its replay, of this JSON, share bit for bit: all."""
     told = json.loads(report)
     latency = round(told["latency_s"] * told["samplerate"])
     effect, again = recorded(folder, "effect")[latency:], vibration(out)
@@ -159,8 +155,7 @@ def test_the_settings_come_back_whole_and_options_win_over_them(tmp_path, monkey
     run.hear(range(50))
     run.recording.close()
     out = tmp_path / "out.wav"
-    assert call("replay", tmp_path / "cap", out).code == 0
-    assert vibration(out).shape[1] == 2
+    assert (call("replay", tmp_path / "cap", out).code, vibration(out).shape[1]) == (0, 2)
     assert call("replay", tmp_path / "cap", out, "--channels", "mono").code == 0
     assert vibration(out).shape[1] == 1
     (tmp_path / "c.toml").write_text('profile = "paper"\n')
@@ -189,10 +184,8 @@ def test_a_recording_that_is_ended_holds_what_came_before(tmp_path):
 def test_of_several_sounds_the_mix_is_recorded_as_no_effect_has_changed_it(tmp_path, site):
     site("halver_package", HALVER, entry("halver_package:LIBRARY"))
     xml = tmp_path / "effects.xml"
-    ours = HAPTIC_CUSHION.uuid
-    effects = [("halver", "halving", HALVER_UUID), ("haptic", "cushion", ours)]
-    applied = ["halver", "haptic"]
-    xml.write_text(effects_xml("halving", "cushion", effects=effects, applied=applied))
+    effects = [("halver", "halving", HALVER_UUID), ("haptic", "cushion", HAPTIC_CUSHION.uuid)]
+    xml.write_text(effects_xml("halving", "cushion", effects=effects, applied=["halver", "haptic"]))
     settings = Settings(effects_file=xml)
     recording = RunRecording(tmp_path / "cap", settings, "app:a", "twin")
     recording.begin()

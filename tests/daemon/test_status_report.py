@@ -38,12 +38,9 @@ def test_much_limiting_leads_to_advice_that_names_the_loudness_or_else_the_volum
         "lower loudness_target_db, which is -24 dB"
     )
     assert advice(much, "paper").endswith("lower the volume of the sound")
-
-
-def test_little_limiting_an_old_one_and_one_of_another_engine_are_left_alone():
+    # of little limiting, of an old one and of one of another engine, which counts from 0, nothing
     assert advice((0.005 * second, second) for second in range(91)) == ""
     assert advice((min(second, 60), second) for second in range(200)) == ""
-    # the other engine counts from 0
     assert advice([*((n, n) for n in range(30)), *((0, n) for n in range(20))]) == ""
 
 

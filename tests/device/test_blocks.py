@@ -37,25 +37,19 @@ def test_one_sample_that_is_not_finite_makes_the_peak_so(spoiled, place):
 
 
 def test_the_peak_of_any_layout_and_type_is_found():
-    samples = np.arange(-12.0, 12.0).reshape(4, 6)
-    assert blocks.peak(samples.T) == 12.0
-    assert blocks.peak(samples[:, ::2]) == 12.0
-    assert blocks.peak(samples[:0]) == 0.0
-    assert blocks.peak(samples.astype(np.int16)) == 12.0  # type: ignore[arg-type]
-    assert blocks.peak(np.float32(3.0) * np.ones(())) == 3.0
+    samples: Any = np.arange(-12.0, 12.0).reshape(4, 6)
+    for layout in (samples.T, samples[:, ::2], samples.astype(np.int16)):
+        assert blocks.peak(layout) == 12.0
+    assert (blocks.peak(samples[:0]), blocks.peak(np.float32(3.0) * np.ones(()))) == (0.0, 3.0)
 
 
+COUNTS = st.tuples(st.integers(1, 3), st.integers(0, 1_300), st.integers(0, 2**45))
 STEPS = st.floats(0.1, 3.0) | st.floats(0.999, 1.001)
-FRACTIONS = st.floats(0.0, 1.0, exclude_max=True)
 
 
-@given(
-    *(st.integers(1, 3), st.integers(0, 1_300), STEPS, FRACTIONS),
-    *(st.integers(0, 2**45), st.booleans()),
-)
-def test_frames_between_frames_are_on_the_cubic_through_four_whatever_the_layout(
-    channels, count, step, fraction, start, strided
-):
+@given(COUNTS, STEPS, st.floats(0.0, 1.0, exclude_max=True), st.booleans())
+def test_frames_between_frames_are_on_the_cubic_through_four(counts, step, fraction, strided):
+    channels, count, start = counts
     ring = np.random.default_rng(1).uniform(-1, 1, (4_096, channels)).astype(np.float32)
     reader = CubicReader(ring)
     reader.position, reader.fraction = start, fraction
@@ -107,19 +101,15 @@ def test_what_does_not_fit_is_refused_and_nothing_is_read(name, wrong):
 
 @given(arrays.arrays(np.float32, st.tuples(st.integers(0, 300), st.integers(1, 3))))
 def test_an_emptied_block_gives_its_bytes_and_is_all_zero_unless_it_is_not_finite(frames):
-    before = frames.copy()
-    stored = blocks.emptied(frames)
+    before, stored = frames.copy(), blocks.emptied(frames)
     if np.isfinite(before).all():
-        assert stored == before.tobytes()
-        assert not frames.any()
+        assert (stored, frames.any()) == (before.tobytes(), False)
     else:
         assert stored is None
         np.testing.assert_array_equal(frames, before)
 
 
-@pytest.mark.parametrize(
-    "array", [np.zeros((4, 2), np.float32)[:, :1], b"1234", None, np.zeros(4, np.int16)]
-)
+@pytest.mark.parametrize("array", [np.zeros((4, 2), "f")[:, :1], b"1234", None, np.zeros(4, "h")])
 def test_what_cannot_be_taken_is_refused(array):
     with pytest.raises((TypeError, BufferError)):
         blocks.require_compiled().peak(array)
@@ -168,7 +158,5 @@ def test_what_is_no_motion_is_refused_and_nothing_is_moved(name, wrong):
     move: Callable[..., int] = blocks.require_compiled().linear_motion
     with pytest.raises((TypeError, ValueError, BufferError, OverflowError)):
         move(**(fitting | {name: wrong}))
-    assert not state.any()
-    assert not moved.any()
-    assert move(**fitting) == 0
-    assert moved.any()
+    assert not np.any([state, moved[0]])
+    assert (move(**fitting), bool(moved.any())) == (0, True)

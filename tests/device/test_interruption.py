@@ -28,10 +28,8 @@ except KeyboardInterrupt:
 
 
 def run(destructor, times=1):
-    program = PROGRAM.format(destructor=destructor, times=times)
-    return subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=30, check=False
-    )
+    command = [sys.executable, "-c", PROGRAM.format(destructor=destructor, times=times)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=30)
 
 
 @pytest.mark.parametrize("times", [1, 3])

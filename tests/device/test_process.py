@@ -9,6 +9,7 @@ import pytest
 
 from device.errors import LostError, UsageError
 from device.process import LIMIT_S, Call
+from tests.support.alsa_files import until
 from tests.support.commands import open_files
 
 
@@ -26,16 +27,12 @@ def fail() -> None:
 
 def result(function: Callable[..., object], *arguments: object) -> object:
     call = Call("damping", time.monotonic(), function, *arguments)
-    deadline_s = time.monotonic() + 20.0
-    while not call.is_over(time.monotonic()):
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
+    until(lambda: call.is_over(time.monotonic()), 20.0)
     return call.result()
 
 
 def test_a_call_returns_what_the_function_does_in_another_process():
-    assert result(large, b"cushion") == large(b"cushion")
-    assert result(os.getppid) == os.getpid()
+    assert (result(large, b"cushion"), result(os.getppid)) == (large(b"cushion"), os.getpid())
     assert result(os.getpid) != os.getpid()
 
 
@@ -49,21 +46,16 @@ def test_a_users_mistake_comes_back_and_other_errors_are_one_line(capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_call_that_hangs_is_ended():
+def test_a_call_that_hangs_is_ended_and_one_that_is_closed_leaves_nothing():
     call = Call("damping", 5.0, time.sleep, 60.0)
     assert not call.is_over(5.0 + LIMIT_S)
     assert call.is_over(5.1 + LIMIT_S)
     with pytest.raises(LostError, match=r"damping cannot be computed: the process took over 30 s"):
         call.result()
-
-
-def test_a_call_that_is_closed_leaves_nothing():
-    before = open_files()
-    call = Call("it", time.monotonic(), time.sleep, 60.0)
+    before, call = open_files(), Call("it", time.monotonic(), time.sleep, 60.0)
     for _ in range(2):
         call.close()
-    assert call._process.returncode == -9
-    assert open_files() == before
+    assert (call._process.returncode, open_files()) == (-9, before)
 
 
 def test_without_python_a_call_cannot_start(monkeypatch):

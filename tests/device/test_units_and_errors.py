@@ -20,8 +20,7 @@ def test_db_and_back_is_the_same_level(level_db):
 def test_known_levels():
     assert amplitude_to_db(10.0) == 20.0
     assert amplitude_to_db(-0.5) == pytest.approx(-6.0206, abs=1e-4)
-    assert amplitude_to_db(0.0) == -math.inf
-    assert db_to_amplitude(-math.inf) == 0.0
+    assert (amplitude_to_db(0.0), db_to_amplitude(-math.inf)) == (-math.inf, 0.0)
 
 
 def test_only_what_is_not_finite_becomes_zero_and_the_rest_is_not_copied():
@@ -29,8 +28,7 @@ def test_only_what_is_not_finite_becomes_zero_and_the_rest_is_not_copied():
     assert finite_or_zero(sound)[0] is sound
     broken = np.array([1.0, np.nan, np.inf, -np.inf, 2.0])
     samples, replaced = finite_or_zero(broken)
-    assert samples.tolist() == [1.0, 0.0, 0.0, 0.0, 2.0]
-    assert replaced == 3
+    assert (samples.tolist(), replaced) == ([1.0, 0.0, 0.0, 0.0, 2.0], 3)
     assert np.isnan(broken[1])
 
 
@@ -42,5 +40,4 @@ EXIT_CODES |= {errors.InternalError: 5, errors.WriteError: 5}
 def test_an_error_knows_its_exit_code_and_is_one_line(kind, exit_code):
     error = kind("cannot write 'a\nb': no\r\n  room")
     assert isinstance(error, errors.CushionError)
-    assert error.exit_code == exit_code
-    assert str(error) == "cannot write 'a b': no room"
+    assert (error.exit_code, str(error)) == (exit_code, "cannot write 'a b': no room")

@@ -30,10 +30,9 @@ def refuse(wanted_db: float) -> None:
 def test_a_device_that_cannot_does_not_play_and_is_asked_again_each_time():
     volume = DeviceVolume(-6.0)
     for attempt in (volume.set, volume.update, volume.update):
-        with pytest.raises(NotFoundError) as raised:
+        words = "device_volume_db = -6 cannot be set.*it has no volume.*-db off"
+        with pytest.raises(NotFoundError, match=words):
             attempt(refuse)
-        for words in ("device_volume_db = -6 cannot be set", "it has no volume", "-db off"):
-            assert words in str(raised.value)
     levels_db: list[float] = []
     volume.update(levels_db.append)
     assert levels_db == [-6.0]
@@ -63,17 +62,10 @@ def test_more_than_the_rig_allows_is_never_set_and_that_is_told():
     assert (levels_db, volume.warning) == ([-6.0, -10.0], "")
     volume.wanted_db, volume.limit_db = -10.0, -20.0
     volume.update(levels_db.append)
-    assert levels_db[2:] == [-20.0]
-
-
-@pytest.mark.parametrize("wanted_db", [None, -3.0])
-def test_a_warning_ends_with_what_it_was_about(wanted_db):
-    volume = DeviceVolume(0.0, -1.0)
-    volume.set(lambda _: None)
-    assert volume.warning
-    volume.wanted_db = wanted_db
-    volume.update(lambda _: None)
-    assert volume.warning == ""
+    assert (levels_db[2:], bool(volume.warning)) == ([-20.0], True)
+    volume.wanted_db = None
+    volume.update(levels_db.append)
+    assert (levels_db[3:], volume.warning) == ([], "")
 
 
 @given(st.floats(allow_nan=False), st.floats(-80.0, 20.0))

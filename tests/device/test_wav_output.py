@@ -31,13 +31,11 @@ def written(path, blocks, samplerate=48_000, channels=2, **options):
 def test_libsndfile_and_scipy_read_back_what_was_written(tmp_path, samplerate, channels):
     vibration = noise(1_000, channels)
     path = written(tmp_path / "a.wav", [vibration], samplerate, channels)
-    samples, rate = soundfile.read(path, dtype="float32", always_2d=True)
     info = soundfile.info(path)
-    assert (info.format, info.subtype, rate) == ("WAV", "FLOAT", samplerate)
-    assert np.array_equal(samples, vibration.astype(np.float32))
-    again, samples = wavfile.read(path)
-    assert again == samplerate
-    assert np.array_equal(samples.reshape(-1, channels), vibration.astype(np.float32))
+    assert (info.format, info.subtype) == ("WAV", "FLOAT")
+    for samples, rate in (soundfile.read(path, dtype="float32"), wavfile.read(path)[::-1]):
+        assert rate == samplerate
+        assert np.array_equal(samples.reshape(-1, channels), vibration.astype(np.float32))
 
 
 @given(st.lists(st.integers(0, 50)), st.sampled_from([np.float32, np.float64]))
@@ -93,15 +91,13 @@ def test_a_block_of_another_shape_is_refused(tmp_path):
 
 
 def test_the_first_of_close_and_abort_counts(tmp_path):
-    kept, discarded = (WavOutput(tmp_path / name, 48_000, 2) for name in ("kept", "discarded"))
-    kept.close()
-    discarded.abort()
-    for output in (kept, discarded):
-        output.abort()
-        output.close()
+    for name in ("close", "abort"):
+        output = WavOutput(tmp_path / name, 48_000, 2)
+        for ending in (getattr(output, name), output.abort, output.close):
+            ending()
         with pytest.raises(InternalError, match="closed"):
             output.write(noise(1))
-    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
+    assert [path.name for path in tmp_path.iterdir()] == ["close"]
 
 
 def test_memory_stays_flat(tmp_path):

@@ -9,12 +9,9 @@ from tools.docs.__main__ import ROOT
 from tools.docs.figures import SENTENCES, Benchmarks, corrected, figures
 
 
-def test_every_figure_is_said_somewhere() -> None:
+def test_every_figure_is_said_somewhere_and_corrected_wherever_its_line_breaks() -> None:
     said = " ".join(sentence for sentences in SENTENCES.values() for sentence in sentences)
     assert [name for name in figures(Benchmarks()) if f"{{{name}}}" not in said] == []
-
-
-def test_a_sentence_gets_its_new_figures_wherever_its_line_breaks() -> None:
     text = "It is quick: 7 ms\nlate, 1.5 % of\na core. It is 7 ms late elsewhere, too.\n"
     found = corrected("page", text, ("quick: {a} ms late, {b} % of a",), {"a": "12", "b": "-0.2"})
     assert found == text.replace("quick: 7", "quick: 12").replace("1.5", "-0.2")

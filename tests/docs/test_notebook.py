@@ -19,19 +19,17 @@ CODE: list[Cell] = [cell for cell in NOTEBOOK["cells"] if cell["cell_type"] == "
 
 
 def printed(cell: Cell) -> str:
-    """Return the text that a cell printed when it was run in Jupyter."""
     streams = [one for one in cell["outputs"] if one["output_type"] == "stream"]
     assert {one["name"] for one in streams} <= {"stdout"}
     return "".join("".join(one["text"]) for one in streams)
 
 
 def pictures(cell: Cell) -> list[bytes]:
-    """Return the PNG files that a cell shows."""
     shown = [one["data"] for one in cell["outputs"] if one["output_type"] == "display_data"]
     return [base64.b64decode("".join(data["image/png"])) for data in shown]
 
 
-def test_the_notebook_has_the_format_4_and_names_no_machine() -> None:
+def test_the_notebook_has_the_format_4_names_no_machine_and_is_linked_to() -> None:
     assert (NOTEBOOK["nbformat"], NOTEBOOK["nbformat_minor"] >= 5) == (4, True)
     assert NOTEBOOK["metadata"] == {
         "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
@@ -42,6 +40,8 @@ def test_the_notebook_has_the_format_4_and_names_no_machine() -> None:
     assert len(set(identities)) == len(identities)
     assert all(re.fullmatch(r"[a-zA-Z0-9_-]{1,64}", identity) for identity in identities)
     assert not re.search(r"/(home|root|tmp|work|opt|usr|Users)/", PATH.read_text())
+    for page in ("docs/examples.md", "docs/get-started/researcher.md"):
+        assert "examples/first_steps.ipynb" in (ROOT / page).read_text()
 
 
 def test_its_cells_are_short_and_were_run_once_in_order_and_its_pictures_are_small() -> None:
@@ -63,20 +63,10 @@ def test_each_cell_prints_what_it_printed_and_draws_where_it_drew(tmp_path: Path
         parts.append("plt.close('all')")
     program = tmp_path / "cells.py"
     program.write_text("\n".join(parts))
-    ran = subprocess.run(
-        [sys.executable, "-W", "error", program.name],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        env=os.environ | {"MPLBACKEND": "agg", "PYTHONPATH": str(ROOT)},
-    )
+    command, env = [sys.executable, "-W", "error", program.name], os.environ | {"MPLBACKEND": "agg"}
+    env["PYTHONPATH"] = str(ROOT)
+    ran = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=env)
     assert (ran.returncode, ran.stderr) == (0, "")
     found = ran.stdout.split(f" {END_OF_CELL}\n")
-    kept = [f"{printed(cell)}{len(pictures(cell))}" for cell in CODE]
-    assert found == [*kept, ""]
+    assert found == [*[f"{printed(cell)}{len(pictures(cell))}" for cell in CODE], ""]
     assert [path.name for path in tmp_path.iterdir()] == ["cells.py"], "it writes no file"
-
-
-def test_the_page_of_examples_and_the_page_for_researchers_link_to_it() -> None:
-    for page in ("docs/examples.md", "docs/get-started/researcher.md"):
-        assert "examples/first_steps.ipynb" in (ROOT / page).read_text()

@@ -46,9 +46,7 @@ def test_an_example_is_short_and_shows_what_it_should(program: str, tmp_path: Pa
     assert len(path.read_text().splitlines()) <= 40  # fits on a screen
 
 
-def test_the_examples_in_the_reference_give_what_stands_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_examples_in_the_reference_give_what_stands_there(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     page = (ROOT / "docs/api.md").read_text()
     examples = doctest.DocTestParser().get_doctest(page, {}, "api.md", "docs/api.md", 0)
@@ -63,9 +61,7 @@ def test_the_examples_in_the_reference_give_what_stands_there(
         ("docs/get-started/developer.md", "", (512, 1)),
     ],
 )
-def test_the_first_example_of_a_page_runs(
-    page: str, said: str, shape: object, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_first_example_of_a_page_runs(page, said, shape, capsys):
     found = re.search(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
     assert found
     names: dict[str, Any] = {}

@@ -14,8 +14,6 @@ pytestmark = pytest.mark.exhaustive
 
 
 class Fetched(HTMLParser):
-    """What a page of the site fetches."""
-
     def __init__(self, path: Path) -> None:
         super().__init__()
         self.sources: list[str] = []
@@ -31,7 +29,6 @@ class Fetched(HTMLParser):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a site, just built; warnings are errors."""
     if find_spec("material") is None:
         pytest.skip("mkdocs-material is not installed: run `make docs` once")
     folder = tmp_path_factory.mktemp("site")

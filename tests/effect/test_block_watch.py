@@ -10,10 +10,7 @@ TICK_S = 0.1
 
 
 def watched(calls):
-    """Play a buffer a call, during which the engine is looked at: `calls` has the times.
-
-    Return the module, its engine, the last buffer, and whether each look found it bypassed.
-    """
+    """Play a buffer a call, at whose times the engine is looked at; named: what each look found."""
     probe, watch, named = Probe("Waiter"), BlockWatch(), []
     chains, module = running(probe)
     waiting = iter(calls)

@@ -21,10 +21,8 @@ from audioflinger_hook.effect.module import EffectModule
 from tests.support.effects import FakeClock, Probe, config
 
 KNOBS = (
-    Parameter("level", float, 0.5, 0.0, 1.0),
-    Parameter("count", int, 3, 1, 9),
-    Parameter("mode", str, "soft", choices=("soft", "hard")),
-    Parameter("bright", bool, False),
+    *(Parameter("level", float, 0.5, 0.0, 1.0), Parameter("count", int, 3, 1, 9)),
+    *(Parameter("mode", str, "soft", choices=("soft", "hard")), Parameter("bright", bool, False)),
     Parameter("meter", float),
 )
 OWN = (VendorCommand(0x1_0005, "FREEZE", NoneType), VendorCommand(0x1_0006, "LOAD", bytes))
@@ -79,8 +77,7 @@ WRONG: list[tuple[object, object]] = [
 @pytest.mark.parametrize(("code", "data"), WRONG)
 def test_what_is_wrong_never_reaches_the_engine(code, data):
     probe, module = probe_and_module(EffectFlag.INSERT | EffectFlag.VOLUME_CTRL)
-    assert module.command(code, data) == (EINVAL, None)
-    assert probe.take() == []
+    assert (module.command(code, data), probe.take()) == ((EINVAL, None), [])
 
 
 RIGHT = [
@@ -98,15 +95,13 @@ RIGHT = [
 def test_what_is_right_reaches_the_engine_once(code, data):
     told = EffectFlag.INSERT | EffectFlag.VOLUME_CTRL | EffectFlag.DEVICE_IND
     probe, module = probe_and_module(told)
-    assert module.command(code, data) == (OK, None)
-    assert len(probe.take()) == 1
+    assert (module.command(code, data), len(probe.take())) == ((OK, None), 1)
 
 
 def test_an_effect_that_asked_for_neither_volume_nor_device_is_not_told_of_them():
     probe, module = probe_and_module()
     assert module.command(Command.SET_VOLUME, (0.5,)) == (ENOSYS, None)
-    assert module.command(Command.SET_DEVICE, 2) == (ENOSYS, None)
-    assert probe.take() == []
+    assert (module.command(Command.SET_DEVICE, 2), probe.take()) == ((ENOSYS, None), [])
 
 
 @pytest.mark.parametrize("reply", [None, "x", True, 3 + 0j, np.float64(0.5)])
@@ -114,8 +109,7 @@ def test_a_reply_of_the_wrong_type_to_get_param_is_named_and_not_handed_on(reply
     probe, module = probe_and_module()
     probe.replies[Command.GET_PARAM] = (OK, reply)
     assert module.command(Command.GET_PARAM, "level") == (EINVAL, None)
-    assert module.complaint == "answered GET_PARAM level with nonsense"
-    assert module.bypassed == ""
+    assert (module.complaint, module.bypassed) == ("answered GET_PARAM level with nonsense", "")
 
 
 names = st.sampled_from([*(knob.name for knob in KNOBS), "gain_db", "form", "mute"])

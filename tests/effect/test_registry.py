@@ -14,30 +14,30 @@ from tests.support.effects import ECHO_UUID, LIBRARY, Probe, descriptor
 
 HALVER_UUID = UUID("5d0a6a3e-95f9-4b6c-8f6e-0d6a5a4f0001")
 
-HALVER = """
+EFFECT = """
     from uuid import UUID
-    from audioflinger_hook.effect.interface import OK, EffectDescriptor
+    from audioflinger_hook.effect.interface import OK, EffectDescriptor, EffectFlag
     from audioflinger_hook.effect.registry import EffectLibrary
 
-    HALVER = EffectDescriptor(
-        UUID("5d0a6a3e-95f9-4b6c-8f6e-0d6a5a4f0000"),
-        UUID("5d0a6a3e-95f9-4b6c-8f6e-0d6a5a4f0001"),
-        "Halver",
-        "somebody else",
-    )
+    SEEN = [0]
+    FLAGS = EffectFlag.INSERT
+    KIND = EffectDescriptor(UUID(int=9), UUID("{uuid}"), "{name}", "somebody else", FLAGS)
 
-    class Halver:
-        descriptor = HALVER
+    class {name}:
+        descriptor = KIND
 
         def process(self, source, target):
-            target.audio[:] = 0.5 * source.audio
+            SEEN[0] += 1
+            {does}
             return OK
 
         def command(self, code, data=None):
             return OK, None
 
-    LIBRARY = EffectLibrary("halving", ((HALVER, Halver),))
+    LIBRARY = EffectLibrary("{library}", ((KIND, {name}),))
 """
+HALF = "target.audio[:] = 0.5 * source.audio"
+HALVER = EFFECT.format(name="Halver", library="halving", uuid=HALVER_UUID, does=HALF)
 
 
 def entry(value, name="halving"):
@@ -112,7 +112,7 @@ def test_entry_points_of_other_groups_are_not_loaded(site):
     assert EffectRegistry.installed().problems == []
 
 
-def test_uuids_are_unique_within_and_between_libraries():
+def test_uuids_are_unique_within_and_between_libraries_and_an_unknown_one_is_told():
     registry = EffectRegistry([CUSHION, LIBRARY])
     uuids = [one.uuid for one in registry.descriptors]
     assert len(set(uuids)) == len(uuids) == 2
@@ -122,9 +122,6 @@ def test_uuids_are_unique_within_and_between_libraries():
     with pytest.raises(UsageError, match="effect 'b' is that of effect 'a'"):
         registry.add(twice)
     assert registry.libraries == ("cushion", "echoes")
-
-
-def test_an_unknown_uuid_is_named_with_those_that_there_are():
     known = r"no effect has UUID .*; known effects: .*Haptic Cushion"
     with pytest.raises(NotFoundError, match=known):
         EffectRegistry([CUSHION]).create(UUID(int=5))
@@ -156,10 +153,8 @@ def test_what_is_wrong_with_a_library_is_said(name, factory, message):
 @pytest.mark.parametrize(
     ("wrong", "problem"),
     [
-        ({"uuid": "x"}, "has an invalid UUID"),
-        ({"type_uuid": 3}, "has an invalid UUID"),
-        ({"name": ""}, "has no name"),
-        ({"flags": 0}, "has invalid flags"),
+        *(({"uuid": "x"}, "has an invalid UUID"), ({"type_uuid": 3}, "has an invalid UUID")),
+        *(({"name": ""}, "has no name"), ({"flags": 0}, "has invalid flags")),
         ({"parameters": ("gain",)}, "has an invalid parameter"),
         ({"parameters": (Parameter("a", list, 1),)}, "has an invalid parameter"),
         ({"parameters": (Parameter("a", int, 5, 6, 7),)}, "default of a .6 to 7. is out of its"),

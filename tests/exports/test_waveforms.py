@@ -22,18 +22,10 @@ def spectrum(vibration: Any, rate_hz: int) -> Any:
     return czt(vibration, 2_000, turn, np.exp(2j * np.pi * 20.0 / rate_hz)) / rate_hz
 
 
-def error_db(full: Any, full_hz: int, low: Any, low_hz: int) -> float:
-    """Return the energy of the difference between 20 and 220 Hz, in dB of the vibration's."""
-    wanted, found = spectrum(full, full_hz), spectrum(low, low_hz)
-    ratio = np.sum(np.abs(wanted - found) ** 2) / np.sum(np.abs(wanted) ** 2)
-    return float(10 * np.log10(ratio))
-
-
 @pytest.mark.parametrize("channels", ["mono", "each"])
 @pytest.mark.parametrize("profile", ["paper", "cinema"])
 def test_wav_at_its_rate_is_what_render_writes(channels: Any, profile: str, tmp_path: Path) -> None:
-    sound = scene(channels=2)
-    settings = Settings(profile=profile, channels=channels)
+    sound, settings = scene(channels=2), Settings(profile=profile, channels=channels)
     rendered = render(client_of(sound), tmp_path / "r.wav", settings)
     report = export(client_of(sound), tmp_path / "e.wav", settings, ExportOptions("wav"))
     assert (tmp_path / "e.wav").read_bytes() == (tmp_path / "r.wav").read_bytes()
@@ -50,7 +42,8 @@ def test_1_khz_holds_it_in_a_fortieth_of_the_bytes(name: str, rate_hz: int, tmp_
     low, low_hz = read_wave(tmp_path / "low")
     assert low_hz == report.samplerate == 1_000
     assert len(low) == report.frames == -(-len(sound) * 1_000 // rate_hz)
-    assert error_db(full[:, 0], rate_hz, low[:, 0], low_hz) <= -60.0
+    wanted, found = spectrum(full[:, 0], rate_hz), spectrum(low[:, 0], low_hz)
+    assert np.sum(np.abs(wanted - found) ** 2) <= 1e-6 * np.sum(np.abs(wanted) ** 2)
     float_bytes = 4 * 48_000 * len(sound) / rate_hz
     assert report.bytes <= float_bytes / 40
 
@@ -58,8 +51,7 @@ def test_1_khz_holds_it_in_a_fortieth_of_the_bytes(name: str, rate_hz: int, tmp_
 @pytest.mark.parametrize("output_rate_hz", [1_000, 1_333, 96_000])
 def test_resampling_does_not_depend_on_the_blocks(output_rate_hz: int, tmp_path: Path) -> None:
     vibration = np.random.default_rng(3).standard_normal((20_000, 2))
-    path = tmp_path / "out.wav"
-    contents = set()
+    path, contents = tmp_path / "out.wav", set()
     for cuts in ([], [1, 5_000], [7_001, 14_002]):
         output = ResampledOutput(WavOutput(path, output_rate_hz, 2), RATE_HZ)
         for block in np.split(vibration, cuts):
@@ -77,8 +69,7 @@ def test_flac_keeps_24_bits_and_counts_what_it_limits(tmp_path: Path) -> None:
     )
     full, low = read_wave(tmp_path / "wav")[0], read_wave(tmp_path / "flac")[0]
     assert np.abs(np.clip(full, -1, 1) - low).max() <= 2.0**-22
-    assert flac.limited_samples == int((np.abs(full) > 1.0).sum())
-    assert wav.limited_samples == 0
+    assert (flac.limited_samples, wav.limited_samples) == (int((np.abs(full) > 1.0).sum()), 0)
 
 
 @pytest.mark.parametrize(("hz", "leak_db"), [(100.0, -75.0), (220.0, -60.0), (400.0, -0.2)])

@@ -92,8 +92,7 @@ SILENT |= {"audio": np.zeros((16_000, 2)), "principals": [], "events": [], "fact
         (2.0, {"vibration": np.zeros(500), "acceleration_m_s2": np.zeros(7)}),
         *((frames / SAMPLERATE, {"audio": LITTLE[:frames, :2]}) for frames in (1, 16)),
         (0.5, {"audio": LITTLE[:, :1], "samplerate": 1_000}),
-        (0.002, {"audio": LITTLE[:384], "samplerate": 192_000}),
-        (2.0, SILENT),
+        *((0.002, {"audio": LITTLE[:384], "samplerate": 192_000}), (2.0, SILENT)),
     ],
 )
 def test_whatever_comes_is_drawn_without_a_warning(duration_s, changes):
@@ -120,8 +119,7 @@ def test_vibration_and_principal_frequencies_appear_in_the_accent_colour():
 @pytest.mark.exhaustive
 def test_a_hundred_thousand_principal_frequencies_are_drawn_at_a_low_cost():
     rng = np.random.default_rng(3)
-    at_s = rng.uniform(0.0, 2.0, 100_000)
-    hz = rng.uniform(50.0, 12_000.0, 100_000)
+    at_s, hz = rng.uniform(0.0, 2.0, 100_000), rng.uniform(50.0, 12_000.0, 100_000)
     many = np.stack([at_s, hz, hz / 60.0, rng.random(100_000)], axis=1)
     assert cost_ffts(lambda: picture_of(principals=many)) < in_ffts(6.0)
 
@@ -182,8 +180,7 @@ def test_a_full_scale_tone_is_0_dbfs_in_the_row_of_its_frequency(rows_hz, durati
     middle = level_db[:, 10:30]
     # between two bins of a spectrum padded to double length a Hamming window loses 0.45 dB
     assert np.all(np.abs(middle.max(axis=0)) < 0.5)
-    nearest_hz = rows_hz[np.argmax(middle, axis=0)]
-    assert np.all(np.abs(nearest_hz / 1_000.0 - 1.0) < 0.06)
+    assert np.all(np.abs(rows_hz[np.argmax(middle, axis=0)] / 1_000.0 - 1.0) < 0.06)
 
 
 def test_rows_above_half_the_samplerate_are_empty():
@@ -198,8 +195,7 @@ def test_rows_above_half_the_samplerate_are_empty():
 def test_the_level_map_falls_in_lightness_by_equal_steps():
     linear = rgb_of(palette.LEVEL_COLOURS) / 255
     linear = np.where(linear <= 0.04045, linear / 12.92, ((linear + 0.055) / 1.055) ** 2.4)
-    luminance = linear @ [0.2126, 0.7152, 0.0722]
-    lightness = 116.0 * np.cbrt(luminance) - 16.0
+    lightness = 116.0 * np.cbrt(linear @ [0.2126, 0.7152, 0.0722]) - 16.0
     # colours are rounded to 8 bits, which is up to 0.2 of lightness
     assert np.allclose(np.diff(lightness), np.diff(lightness).mean(), atol=0.5)
 

@@ -38,19 +38,12 @@ DIGESTS = Path(__file__).with_name("digests.json")
 TWO_ACTUATORS = """
 profile = "cinema"
 gain_db = -3
-[[actuator]]
-source = "left"
-channels = [0]
-[[actuator]]
-source = "right"
-channels = [2]
-polarity = "inverted"
-gain_db = -2.5
-delay_ms = 3
-rig = "consumer"
-protection = "on"
-exposure_cap = "limit"
-"""
+actuator = [{ source = "left", channels = [0] }, { source = "right", channels = [2], OTHER }]
+""".replace(
+    "OTHER",
+    'polarity = "inverted", gain_db = -2.5, delay_ms = 3, rig = "consumer", protection = "on", '
+    'exposure_cap = "limit"',
+)
 CONFIGS = {
     "level": "gain_db = -7.5\n",
     "parameters": 'profile = "music"\n[transform]\nthreshold_hz = 0.1\npartials_max = 9\n',

@@ -21,16 +21,10 @@ from device.errors import UsageError
 from tests.support.bench_runs import a_bench
 from tools.bench.sections import kept_records
 from tools.bench.sections.kept_records import USUAL_BLOCK_FRAMES
+from tools.live_latency import lag as lags_of
 from tools.live_latency import record as live_record
 from tools.live_latency.arrival import ArrivalLine
-from tools.live_latency.lag import (
-    Envelope,
-    LevelTrace,
-    dropouts,
-    growth,
-    lag_between,
-    swelling_tone,
-)
+from tools.live_latency.lag import Envelope, LevelTrace, lag_between, swelling_tone
 from tools.live_latency.measurement import Rendering
 from tools.live_latency.record import LiveRecord
 from tools.live_latency.usage import ProcessUse
@@ -38,6 +32,12 @@ from tools.records import PROJECT_ROOT
 
 RATE = 48_000
 BLOCK = 256
+SOUNDS = {
+    "a tone": swelling_tone(145.0, 12.0, RATE),
+    "a low tone": swelling_tone(110.0, 12.0, RATE, swell_hz=3.0),
+    "a high tone": swelling_tone(1_000.0, 12.0, RATE, swell_hz=6.0, seed=3),
+    "the demo scene": np.tile(mixdown(demo_scene()).mean(axis=1), 2)[: 12 * RATE],
+}
 
 
 def arrivals(seconds, *, ppm=0.0, block=BLOCK, burst=1, late_ms=3.0, lost=(), seed=1):
@@ -46,8 +46,7 @@ def arrivals(seconds, *, ppm=0.0, block=BLOCK, burst=1, late_ms=3.0, lost=(), se
     lost: pairs of a time in seconds and frames that are missing from then on (negative: that
     came twice).
     """
-    generator = np.random.default_rng(seed)
-    count = int(seconds * RATE / block)
+    generator, count = np.random.default_rng(seed), int(seconds * RATE / block)
     due = -(-(1 + np.arange(count)) // burst) * burst  # a block comes with the last of its burst
     made = due * block / RATE * (1.0 + 1e-6 * ppm)
     frames = block * (1 + np.arange(count))
@@ -56,8 +55,7 @@ def arrivals(seconds, *, ppm=0.0, block=BLOCK, burst=1, late_ms=3.0, lost=(), se
     late = np.repeat(late, burst)[:count]
     for at_s, missing in lost:
         made[made > at_s] += missing / RATE
-    times = np.maximum.accumulate(1000.0 + made + late)
-    return times, frames.astype(np.intp)
+    return np.maximum.accumulate(1000.0 + made + late), frames.astype(np.intp)
 
 
 def worst_s(line, from_s, until_s, ppm=0.0, later_s=0.0):
@@ -91,8 +89,7 @@ def test_frames_that_are_missing_or_inserted_shift_only_what_follows(missing):
 
 
 def test_several_losses_are_several_jumps_and_one_block_is_enough_for_a_line():
-    lost = ((6.0, 256), (13.0, 256), (20.0, 512))
-    times_s, frames = arrivals(30.0, lost=lost)
+    times_s, frames = arrivals(30.0, lost=((6.0, 256), (13.0, 256), (20.0, 512)))
     line = ArrivalLine(times_s, frames, RATE)
     assert [round(jump / RATE) for jump in line.jumps] == [6, 13, 20]
     line = ArrivalLine(np.array([5.0]), np.array([RATE]), RATE)
@@ -109,8 +106,7 @@ def envelope(samples, *, delay_s=0.0, rate=RATE, ppm=0.0):
 
 def exact_line(count, delay_s=0.0, rate=RATE, ppm=0.0):
     frames = np.arange(rate, count + 1, rate // 100)
-    times = delay_s + frames / rate * (1.0 + 1e-6 * ppm)
-    return ArrivalLine(times, frames.astype(np.intp), rate)
+    return ArrivalLine(delay_s + frames / rate * (1.0 + 1e-6 * ppm), frames.astype(np.intp), rate)
 
 
 def rendered(sound):
@@ -125,22 +121,11 @@ def live(sound):
     return HapticTransform(RATE, 1).process(sound)[:, 0]
 
 
-SOUNDS = {
-    "a tone": swelling_tone(145.0, 12.0, RATE),
-    "a low tone": swelling_tone(110.0, 12.0, RATE, swell_hz=3.0),
-    "a high tone": swelling_tone(1_000.0, 12.0, RATE, swell_hz=6.0, seed=3),
-    "the demo scene": np.tile(mixdown(demo_scene()).mean(axis=1), 2)[: 12 * RATE],
-}
-
-
 @pytest.mark.sweep
-@pytest.mark.parametrize(
-    ("name", "within_ms"),
+@pytest.mark.parametrize("name", SOUNDS)
+def test_a_known_delay_is_found_wherever_the_hops_begin(name):
     # what beats between partials depends on where hops begin
-    [("a tone", 0.2), ("a low tone", 0.2), ("a high tone", 0.2), ("the demo scene", 8.0)],
-)
-def test_a_known_delay_is_found_wherever_the_hops_begin(name, within_ms):
-    sound = SOUNDS[name]
+    sound, within_ms = SOUNDS[name], 8.0 if name == "the demo scene" else 0.2
     wanted = live_envelope_of_render(sound)
     declared_ms = 1e3 * HapticTransform(RATE, 1).latency_s
     errors_ms = []
@@ -165,11 +150,9 @@ def test_the_rendering_is_that_of_the_command(tmp_path):
     sound = SOUNDS["a tone"][: 2 * RATE].astype(np.float32)
     soundfile.write(tmp_path / "in.wav", sound, RATE, subtype="FLOAT")
     render_file(tmp_path / "in.wav", tmp_path / "out.wav")
-    file = soundfile.read(tmp_path / "out.wav")[0]
     trace = LevelTrace(RATE)
-    trace.add(file)
-    _, of_file = trace.levels()
-    _, ours = rendered(sound).levels()
+    trace.add(soundfile.read(tmp_path / "out.wav")[0])
+    (_, of_file), (_, ours) = trace.levels(), rendered(sound).levels()
     # the file has its last 7 ms, too
     assert len(of_file) - len(ours) == pytest.approx(7, abs=2)
     assert np.abs(ours - of_file[: len(ours)])[:-500].max() < 1e-5
@@ -184,11 +167,11 @@ def test_a_delay_between_other_rates_and_one_that_grows_are_found():
     starts_s = np.arange(1.0, 8.0)
     lags = [lag_between(wanted, heard, start_s, start_s + 3.0) for start_s in starts_s]
     found = np.array([lag.seconds for lag in lags if lag])
-    assert growth(starts_s, found) == pytest.approx(300e-6 * 6.0, abs=0.0001)
+    assert lags_of.growth(starts_s, found) == pytest.approx(300e-6 * 6.0, abs=0.0001)
     found = np.full(20, 0.07)
     found[18] = 0.3  # one outlier is no growth
-    assert abs(growth(np.arange(20.0), found)) < 1e-4
-    assert growth(np.arange(2.0), found[:2]) == 0.0
+    assert abs(lags_of.growth(np.arange(20.0), found)) < 1e-4
+    assert lags_of.growth(np.arange(2.0), found[:2]) == 0.0
 
 
 def test_gaps_in_the_vibration_do_not_change_the_lag_and_are_counted_where_something_is_felt():
@@ -208,47 +191,35 @@ def test_gaps_in_the_vibration_do_not_change_the_lag_and_are_counted_where_somet
     declared_s = HapticTransform(RATE, 1).latency_s
     assert lag is not None
     assert lag.seconds == pytest.approx(declared_s, abs=0.0003)
-    count, silent_s = dropouts(wanted, trace, line, declared_s, 3.0, 9.0)
+    count, silent_s = lags_of.dropouts(wanted, trace, line, declared_s, 3.0, 9.0)
     assert count == 3
     assert silent_s == pytest.approx(0.033, abs=0.001)
-    assert dropouts(wanted, trace, line, declared_s, 7.0, 11.5) == (0, 0.0)
+    assert lags_of.dropouts(wanted, trace, line, declared_s, 7.0, 11.5) == (0, 0.0)
 
 
 def test_of_another_sound_there_is_no_lag():
-    wanted = envelope(SOUNDS["a tone"])
-    other = envelope(swelling_tone(145.0, 12.0, RATE, seed=2))
-    steady = envelope(np.sin(np.arange(12 * RATE) * 0.02))
-    silence = envelope(np.zeros(12 * RATE))
-    for heard in (other, steady, silence):
+    wanted, silence = envelope(SOUNDS["a tone"]), np.zeros(12 * RATE)
+    other = swelling_tone(145.0, 12.0, RATE, seed=2)
+    for heard in map(envelope, (other, np.sin(np.arange(12 * RATE) * 0.02), silence)):
         assert lag_between(wanted, heard, 3.0, 6.0) is None
-        assert lag_between(heard, silence, 3.0, 6.0) is None
+        assert lag_between(heard, envelope(silence), 3.0, 6.0) is None
 
 
 def test_the_tone_never_falls_silent_and_joins_itself():
     sound = swelling_tone(145.3, 5.0, RATE)
-    assert np.abs(sound).max() <= 0.55
-    joined = np.concatenate([sound, sound])
-    assert np.abs(np.diff(joined)).max() == pytest.approx(np.abs(np.diff(sound)).max(), rel=0.01)
     crests = np.abs(sound).reshape(-1, RATE // 50).max(axis=1)
-    assert crests.min() > 0.05
+    assert 0.05 < crests.min() <= crests.max() <= 0.55
+    steepest, joined = (np.abs(np.diff(np.tile(sound, times))).max() for times in (1, 2))
+    assert joined == pytest.approx(steepest, rel=0.01)
 
 
 def a_record(**changed):
     """The first of the records that are kept, with the values that the tests look at."""
     first = live_record.read_records(PROJECT_ROOT / "docs/live.json")[0]
-    values: dict[str, Any] = {
-        "server": "PulseAudio 16.1",
-        "block_frames": USUAL_BLOCK_FRAMES,
-        "cpu": "a processor",
-        "cores": 2,
-        "load_before": 0.5,
-        "load_after": 1.5,
-        "lag_median_ms": 71.5,
-        "cpu_percent": 5.8,
-        "growth_ms": -0.4,
-        "check_median_ms": 0.01,
-        "check_worst_ms": -0.2,
-    }
+    values: dict[str, Any] = {"server": "PulseAudio 16.1", "block_frames": USUAL_BLOCK_FRAMES}
+    values |= {"cpu": "a processor", "cores": 2, "load_before": 0.5, "load_after": 1.5}
+    values |= {"lag_median_ms": 71.5, "growth_ms": -0.4, "cpu_percent": 5.8}
+    values |= {"check_median_ms": 0.01, "check_worst_ms": -0.2}
     return replace(first, **(values | changed))
 
 
@@ -283,19 +254,18 @@ def test_the_table_asks_its_limits_of_the_usual_blocks_only(monkeypatch, tmp_pat
     late = a_record(block_frames=1024, lag_median_ms=140.0)
     table = section(monkeypatch, tmp_path, a_record(), late)
     by_name = {(row.name, row.column): row for row in table.rows}
-    assert by_name["PulseAudio 16.1, 512 frames", "lag"].met is True
-    assert by_name["PulseAudio 16.1, 512 frames", "change over the run"].value == 0.4
-    assert by_name["PulseAudio 16.1, 1024 frames", "lag"].met is None
+    usual, long = ("PulseAudio 16.1, 512 frames", "PulseAudio 16.1, 1024 frames")
+    assert (by_name[usual, "lag"].met, by_name[long, "lag"].met) == (True, None)
+    assert by_name[usual, "change over the run"].value == 0.4
     assert "a processor (2 cores), load 0.5 to 1.5" in table.footnote
-    long = a_record(growth_ms=-1.2, lag_median_ms=91.0, check_median_ms=3.0)
-    table = section(monkeypatch, tmp_path, long)
+    slow = a_record(growth_ms=-1.2, lag_median_ms=91.0, check_median_ms=3.0)
+    table = section(monkeypatch, tmp_path, slow)
     assert [row.column for row in table.rows if row.met is False] == ["lag", "change over the run"]
     assert any("not to be trusted" in row.note for row in table.rows)  # the instrument is off
 
 
 def test_records_of_before_pauses_were_watched_can_be_read(monkeypatch, tmp_path):
-    path = tmp_path / "old.json"
-    document = live_record.to_json([a_record()])
+    path, document = tmp_path / "old.json", live_record.to_json([a_record()])
     for name in ("machine_pauses", "machine_pause_ms"):
         del document["records"][0][name]
     path.write_text(json.dumps(document))

@@ -31,10 +31,8 @@ def test_what_one_core_did_not_notice_is_no_pause_of_the_machine() -> None:
 def test_times_are_left_out_until_a_pause_is_over(starts_s: list[float], recovers_s: float) -> None:
     pauses = [Pause(start_s, start_s + 0.02) for start_s in starts_s]
     times_s = np.linspace(-1.0, 110.0, 1_111)
-    clear = undisturbed(times_s, pauses, recovers_s)
-    for time_s, is_clear in zip(times_s, clear, strict=True):
-        disturbed = any(one.start_s <= time_s <= one.end_s + recovers_s for one in pauses)
-        assert is_clear != disturbed
+    for time_s, is_clear in zip(times_s, undisturbed(times_s, pauses, recovers_s), strict=True):
+        assert is_clear != any(one.start_s <= time_s <= one.end_s + recovers_s for one in pauses)
 
 
 def test_the_witness_watches_every_core_and_ends_when_it_is_closed() -> None:
@@ -71,8 +69,7 @@ def test_one_core_that_is_taken_away_is_a_pause_only_of_that_core() -> None:
     with closing(PauseWitness()) as witness:
         if len(witness._processes) < 2:
             pytest.skip("there is one core")
-        pid = witness._processes[0].pid
-        stopped_s = time.monotonic()
+        pid, stopped_s = witness._processes[0].pid, time.monotonic()
         os.kill(pid, signal.SIGSTOP)
         while time.monotonic() < stopped_s + 0.1:
             pass
@@ -81,8 +78,7 @@ def test_one_core_that_is_taken_away_is_a_pause_only_of_that_core() -> None:
         while not any(one.seconds >= 0.05 for one in witness._seen[0]):
             witness.pauses()
             assert time.monotonic() < deadline_s
-        whole = [one for one in witness.pauses() if one.seconds > 0.05]
-        assert whole == []
+        assert [one for one in witness.pauses() if one.seconds > 0.05] == []
         parts = [one for one in witness.core_pauses() if one.seconds > 0.05]
         assert parts if witness.first else parts == []
         starts_s = [one.start_s for one in witness.core_pauses()]

@@ -13,8 +13,7 @@ COUNTS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 12, 16, 24, 32)
 def mapped(frames, mix_channels):
     channel_map = ChannelMap(frames.shape[1], mix_channels)
     place = np.full((len(frames), mix_channels), np.nan, np.float32)
-    result = channel_map.apply(frames, place, place[:, 0].copy())
-    return np.broadcast_to(result, place.shape)
+    return np.broadcast_to(channel_map.apply(frames, place, place[:, 0].copy()), place.shape)
 
 
 @pytest.mark.parametrize("channels", range(1, CHANNELS_MAX + 1))
@@ -50,8 +49,7 @@ def test_a_channel_goes_to_its_own_position_not_to_its_index(channels, places):
 
 
 def test_surround_folds_to_stereo_with_equal_weight_on_both_sides():
-    matrix = mapping(6, 2)
-    shared = 0.5**0.5
+    matrix, shared = mapping(6, 2), 0.5**0.5
     np.testing.assert_allclose(matrix[:, 0] / matrix[0, 0], [1, 0, shared, shared, shared, 0])
     np.testing.assert_allclose(matrix[:, 1] / matrix[1, 1], [0, 1, shared, shared, 0, shared])
     assert matrix[:, 0].sum() == pytest.approx(1.0)

@@ -23,8 +23,7 @@ def test_the_thread_is_shown_with_its_format_and_counts():
     track.start()
     for cycle in range(3):
         mixer.cycle(cycle * 0.02)
-    lines = {line.strip() for line in dump(mixer).splitlines()}
-    assert lines >= {
+    assert {line.strip() for line in dump(mixer).splitlines()} >= {
         *("Standby: no", "State: enabled", "Sample rate: 48000 Hz"),
         *("Normal frame count: 960 (20.00 ms)", "HAL frame count: 240"),
         *("Channel count: 2", "Haptic channel count: 2", "Processing format: float"),

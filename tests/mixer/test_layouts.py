@@ -45,14 +45,11 @@ def test_without_channels_behind_front_and_back_are_the_mix(channels):
     assert np.array_equal(found, np.stack([downmix(channels)] * 3, axis=1))
 
 
-def test_of_stereo_the_sides_are_the_channels_and_of_four_back_is_those_behind():
+def test_of_stereo_four_5_1_and_7_1_each_source_has_its_channels():
     stereo, quad = weights(2, "left", "right"), weights(4, "front", "back")
     assert stereo == {"left": {"FL": 1.0, "FR": 0.0}, "right": {"FL": 0.0, "FR": 1.0}}
     assert quad["front"] == {"FL": 0.5, "FR": 0.5, "BL": 0.0, "BR": 0.0}
     assert quad["back"] == {"FL": 0.0, "FR": 0.0, "BL": 0.5, "BR": 0.5}
-
-
-def test_of_5_1_the_centre_is_on_both_sides_and_the_bass_before_and_behind():
     found = weights(6, "left", "back")
     left, back = found["left"], found["back"]
     assert left["FL"] == left["BL"] > 0.0
@@ -61,11 +58,7 @@ def test_of_5_1_the_centre_is_on_both_sides_and_the_bass_before_and_behind():
     assert back["BL"] == back["BR"] > 0.0
     assert back["FL"] == back["FR"] == back["FC"] == 0.0
     assert back["LFE"] == pytest.approx(SHARED * back["BL"])
-
-
-def test_of_7_1_the_sides_are_before_and_behind():
-    assert depths(8) == "FFFCBBCC"
-    assert depths(24).count("B") == 6
+    assert (depths(8), depths(24).count("B")) == ("FFFCBBCC", 6)
 
 
 def test_no_byte_depends_on_how_the_sound_is_cut_and_unusable_samples_are_counted_once():
@@ -74,8 +67,7 @@ def test_no_byte_depends_on_how_the_sound_is_cut_and_unusable_samples_are_counte
     sound[200, 0] = 1e9
     found = source_weights(6, ("mix", "left", "right"))
     whole, parts = (HapticTransform(RATE, 6, weights=found) for _ in range(2))
-    expected = whole.process(sound)
-    cuts = np.cumsum([1, 17, 480, 1_000, 3])
+    expected, cuts = whole.process(sound), np.cumsum([1, 17, 480, 1_000, 3])
     got = np.concatenate([parts.process(part) for part in np.split(sound, cuts)])
     assert got.tobytes() == expected.tobytes()
     assert whole.replaced_samples == parts.replaced_samples == 2

@@ -45,8 +45,7 @@ def test_so_are_halves_what_lies_just_below_them_full_scale_and_beyond(pcm_forma
 @pytest.mark.parametrize("pcm_format", [PcmFormat.U8, PcmFormat.I16, PcmFormat.I24])
 @given(seed=st.integers(0, 2**32 - 1), channels=st.integers(1, 4))
 def test_integers_up_to_24_bits_survive_decode_and_encode_to_the_bit(pcm_format, seed, channels):
-    frame_bytes = channels * pcm_format.bytes_per_sample
-    stored = np.random.default_rng(seed).bytes(16 * frame_bytes)
+    stored = np.random.default_rng(seed).bytes(16 * (channels * pcm_format.bytes_per_sample))
     frames = decode(stored, pcm_format, channels)
     assert frames.shape == (16, channels)
     assert np.abs(frames).max() <= 1.0

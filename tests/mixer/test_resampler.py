@@ -55,9 +55,7 @@ def test_any_split_gives_the_same_bits(rate_in, rate_out, channels, demands, pie
     source = np.random.default_rng(channels).standard_normal((24_000, channels), np.float32)
     whole = resampled(source, rate_in, rate_out, max(total, 1))[:total]
     resampler = Resampler(rate_in, rate_out, channels, 16)
-    sizes = itertools.cycle(pieces)
-    fed = 0
-    parts = []
+    sizes, fed, parts = itertools.cycle(pieces), 0, []
     for demand in demands:
         # in pieces, and further than needed
         end = fed + resampler.frames_needed(demand) + ahead
@@ -66,14 +64,12 @@ def test_any_split_gives_the_same_bits(rate_in, rate_out, channels, demands, pie
             resampler.feed(source[fed : fed + size])
             fed += size
         parts.append(produced(resampler, demand, channels))
-    split = np.concatenate(parts)
-    np.testing.assert_array_equal(split.view(np.uint32), whole.view(np.uint32))
+    np.testing.assert_array_equal(np.concatenate(parts).view(np.uint32), whole.view(np.uint32))
 
 
 @EACH_PAIR
 def test_a_second_in_mix_periods_needs_exact_counts(rate_in, rate_out):
-    resampler = Resampler(rate_in, rate_out, 2, 960)
-    fed = 0
+    resampler, fed = Resampler(rate_in, rate_out, 2, 960), 0
     for first in range(0, rate_out - 960, 960):
         needed = resampler.frames_needed(960)
         resampler.feed(np.zeros((needed, 2), np.float32))
@@ -97,11 +93,9 @@ def test_the_stop_band_lets_nothing_fold_back(rate_in, rate_out):
 
 @EACH_PAIR
 def test_the_pass_band_is_flat_and_images_are_gone(rate_in, rate_out):
-    low = min(rate_in, rate_out)
-    gains_db = []
+    low, gains_db = min(rate_in, rate_out), []
     for frequency_hz in np.linspace(20, 0.9 * low / 2, 20):
-        source = tone(frequency_hz, rate_in, rate_in // 4 + 10)
-        count = rate_out // 4
+        source, count = tone(frequency_hz, rate_in, rate_in // 4 + 10), rate_out // 4
         frames = resampled(source, rate_in, rate_out, count)[count // 4 :, 0].astype(np.float64)
         phase = 2 * np.pi * frequency_hz * np.arange(len(frames)) / rate_out
         basis = np.stack([np.sin(phase), np.cos(phase)], axis=1)
@@ -117,8 +111,7 @@ def test_the_pass_band_is_flat_and_images_are_gone(rate_in, rate_out):
     ("rate_in", "rate_out"), [(44_100, 48_000), (44_117, 48_000), (96_000, 48_000)]
 )
 def test_the_position_is_exact_after_a_minute(rate_in, rate_out):
-    frequency_hz = 997.0
-    resampler = Resampler(rate_in, rate_out, 1, 9_600)
+    frequency_hz, resampler = 997.0, Resampler(rate_in, rate_out, 1, 9_600)
     fed = made = 0
     while made < 60 * rate_out:
         needed = resampler.frames_needed(9_600)
@@ -150,8 +143,7 @@ def test_its_tail_brings_out_all_that_was_fed(rate_in, rate_out):
     resampler = Resampler(rate_in, rate_out, 1, rate_out)
     resampler.feed(source)
     resampler.feed(np.zeros((resampler.tail_frames, 1), np.float32))
-    count = (len(source) + resampler.tail_frames) * rate_out // rate_in
-    frames = produced(resampler, count)
+    frames = produced(resampler, (len(source) + resampler.tail_frames) * rate_out // rate_in)
     # interpolated sums over the whole response: its spectrum at 0 Hz, which passes as it is
     assert frames.sum(dtype=np.float64) / rate_out == pytest.approx(
         source.sum(dtype=np.float64) / rate_in, abs=1e-6
@@ -165,8 +157,7 @@ def test_its_tail_brings_out_all_that_was_fed(rate_in, rate_out):
 
 def test_reset_makes_a_new_stream():
     source = np.random.default_rng(2).standard_normal((4_000, 2), np.float32)
-    resampler = Resampler(44_100, 48_000, 2, 960)
-    runs = []
+    resampler, runs = Resampler(44_100, 48_000, 2, 960), []
     for _ in range(2):
         resampler.feed(source[: resampler.frames_needed(777)])
         runs.append(produced(resampler, 777, 2))

@@ -83,8 +83,7 @@ def test_a_starving_track_is_skipped_counted_and_continues_where_it_was():
     player.track.write(sound[: FRAMES + 500])
     player.cycle()
     assert not player.cycle().any()
-    assert player.report.underruns == 1
-    assert player.report.state.name == "ENABLED"
+    assert (player.report.underruns, player.report.state.name) == (1, "ENABLED")
     assert (player.track.underruns, player.track.underrun_frames) == (1, FRAMES)
     assert player.track.frames_ready == 500
     player.track.write(sound[FRAMES + 500 : 2 * FRAMES])
@@ -134,13 +133,11 @@ def test_pause_ramps_down_over_one_buffer_and_resume_up_over_one():
     player.track.pause()
     assert player.track.state.name == "PAUSING"
     rise = np.arange(FRAMES, dtype=np.float32) / np.float32(FRAMES)
-    falling = player.cycle()
-    np.testing.assert_allclose(falling[:, 0], 1 - rise, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(player.cycle()[:, 0], 1 - rise, rtol=0, atol=1e-6)
     assert player.track.state.name == "PAUSED"
     kept = player.track.frames_ready
     assert not player.cycle(5).any()
-    assert player.track.frames_ready == kept
-    assert player.report.state.name == "IDLE"
+    assert (player.track.frames_ready, player.report.state.name) == (kept, "IDLE")
     player.track.start()
     assert player.track.state.name == "RESUMING"
     np.testing.assert_allclose(player.cycle()[:, 1], rise, rtol=0, atol=1e-6)
@@ -160,8 +157,7 @@ def test_pause_and_resume_make_no_click(rate):
             player.track.start()
         fill(player)
         heard.append(player.cycle())
-    steps = np.abs(np.diff(np.concatenate(heard), axis=0))
-    assert steps.max() < STEEPEST
+    assert np.abs(np.diff(np.concatenate(heard), axis=0)).max() < STEEPEST
     assert player.track.underruns == 0
 
 
@@ -210,8 +206,7 @@ def test_after_the_last_frame_comes_silence_and_nothing_of_earlier_turns_of_the_
         fill(player)
         player.cycle()
     player.track.stop()
-    left = player.track.frames_ready * RATE // rate
-    heard = player.cycle(4)
+    left, heard = player.track.frames_ready * RATE // rate, player.cycle(4)
     # behind the last frame only the resampler's tail
     assert not heard[left + 160 :].any()
     assert np.abs(heard[: left - 160]).min() > 0.5
@@ -248,24 +243,14 @@ def test_pause_or_stop_and_flush_in_one_go_ramp_down_first(end):
     heard = player.cycle(3)[:, 0]
     assert heard[0] == 1.0, "goes on where it was"
     assert np.abs(np.diff(heard)).max() < STEEPEST
-    assert player.track.frames_ready == 0
-    assert player.track.state.name == "FLUSHED"
+    assert (player.track.frames_ready, player.track.state.name) == (0, "FLUSHED")
     # a flushed track starts anew: no ramp
     fill(player)
     player.track.start()
     assert (player.cycle() == 1.0).all()
 
 
-def test_a_stop_from_a_pause_drops_what_is_left():
-    player = steady()
-    player.track.pause()
-    player.track.stop()
-    player.cycle(2)
-    assert player.track.state.name == "STOPPED"
-    assert player.track.frames_ready == 0
-
-
-def test_a_removed_track_ramps_down_and_is_gone():
+def test_a_removed_track_ramps_down_and_a_stop_from_a_pause_drops_what_is_left():
     player = steady()
     player.mixer.remove_track(player.track)
     heard = player.cycle(2)[:, 0]
@@ -274,9 +259,14 @@ def test_a_removed_track_ramps_down_and_is_gone():
     assert player.mixer.tracks == ()
     player.mixer.remove_track(player.track)
     player.cycle()
+    player = steady()
+    player.track.pause()
+    player.track.stop()
+    player.cycle(2)
+    assert (player.track.state.name, player.track.frames_ready) == ("STOPPED", 0)
 
 
-def test_a_new_volume_is_reached_over_exactly_one_buffer():
+def test_a_new_volume_is_reached_over_exactly_one_buffer_and_wrong_ones_are_refused():
     player = steady(ring_frames=6 * FRAMES)
     player.track.set_volume((0.5, 7.0))
     changing, steady_again = player.cycle(), player.cycle()
@@ -284,9 +274,6 @@ def test_a_new_volume_is_reached_over_exactly_one_buffer():
     assert (np.diff(changing[:, 0]) < 0).all()
     assert (changing[:, 1] == 1.0).all()
     assert (steady_again == [0.5, 1.0]).all()
-
-
-def test_wrong_volumes_are_refused():
     track = Player().track
     with pytest.raises(UsageError, match=r"0 gains .* 'one'"):
         track.set_volume(())
@@ -358,8 +345,7 @@ class AnyClient(RuleBasedStateMachine):
         super().__init__()
         self.player = Player(ring_frames=2_500, start_threshold=1_000)
         self.track: Track = self.player.track
-        self.sent = 0
-        self.heard_last = 0
+        self.sent, self.heard_last = 0, 0
 
     @rule(count=st.integers(0, 3_000))
     def write(self, count: int) -> None:
@@ -382,10 +368,8 @@ class AnyClient(RuleBasedStateMachine):
     @rule(count=st.integers(1, 4))
     def cycle(self, count: int) -> None:
         for _ in range(count):
-            was = self.track.ring.read
-            before = self.track.mixed_state
-            audio = self.player.cycle()[:, 0]
-            report = self.player.report
+            was, before = self.track.ring.read, self.track.mixed_state
+            audio, report = self.player.cycle()[:, 0], self.player.report
             assert report.tracks_mixed in (0, 1)
             if not report.tracks_mixed:
                 assert not audio.any()

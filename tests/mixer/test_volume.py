@@ -22,8 +22,7 @@ SMALLEST_NORMAL = 2.0**-126
     ],
 )
 def test_gains_that_make_no_sense_are_silence_and_none_amplifies(asked, used):
-    assert usable_gain(asked) == used
-    assert math.copysign(1.0, usable_gain(asked)) == 1.0
+    assert (usable_gain(asked), math.copysign(1.0, usable_gain(asked))) == (used, 1.0)
     assert gains_of([asked], 3) == (float(np.float32(used)),) * 3
 
 
@@ -46,10 +45,8 @@ def test_left_and_right_volume_reach_exactly_their_sides(channels):
     left, right = np.float32(0.3), np.float32(0.9)
     expected = {"L": left, "R": right, "C": (left + right) * np.float32(0.5)}
     wanted = {len(aosp): aosp for aosp in AOSP_SIDES}.get(channels, sides(channels))
-    rng = np.random.default_rng(channels)
-    source = rng.uniform(-1, 1, (48, channels)).astype(np.float32)
-    target = np.empty_like(source)
-    ramp = VolumeRamp(channels, 48)
+    source = np.random.default_rng(channels).uniform(-1, 1, (48, channels)).astype(np.float32)
+    target, ramp = np.empty_like(source), VolumeRamp(channels, 48)
     ramp.mix(source, target, gains_of((0.3, 0.9), channels), np.empty_like(source), first=True)
     gains = np.array([expected[side] for side in wanted])
     np.testing.assert_array_equal(target, source * gains)

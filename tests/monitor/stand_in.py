@@ -2,9 +2,10 @@
 
 import json
 import socket
+import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from audioflinger_hook.service.meters import BufferTimes, Level
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Endpoint, LatencyBudget, Levels, Status
-from audioflinger_hook.service.status_server import StatusServer
+from audioflinger_hook.service.status_server import NAME, StatusServer
 from tests.support.commands import environment
 from tools.live_page import Monitor
 
@@ -41,9 +42,7 @@ class Settings:
 
     def __init__(self) -> None:
         self.requests: list[dict[str, Any]] = []
-        self.page = ""
-        self.frames = 0
-        self.settings = {"keys": [], "unsaved": 0, "undo": 0}
+        self.page, self.frames, self.settings = "", 0, {"keys": [], "unsaved": 0, "undo": 0}
 
     def frame(self, missed: int, *, in_memory: bool) -> tuple[bytes, bool]:
         self.frames += 1
@@ -76,6 +75,35 @@ def daemon_socket(base: Path, live: Settings | None = None) -> Iterator[Settings
         yield live
 
 
+@contextmanager
+def odd_daemon(
+    base: Path, behave: Callable[[socket.socket], None], *, accepts: bool = True
+) -> Iterator[None]:
+    """A socket in the daemon's place whose connections do as told, once they were asked."""
+    with (
+        RuntimeFolder({"XDG_RUNTIME_DIR": str(base)}, create=True) as folder,
+        socket.socket(socket.AF_UNIX) as listener,
+        socket.socket(socket.AF_UNIX) as waiting,
+    ):
+        listener.bind(folder.address(NAME))
+        listener.listen(8 if accepts else 0)
+
+        def serve() -> None:
+            with suppress(OSError):  # it is shut down
+                while True:
+                    client, _ = listener.accept()
+                    with client, suppress(OSError):
+                        client.recv(4096)
+                        behave(client)
+
+        if accepts:
+            threading.Thread(target=serve, daemon=True).start()
+        else:  # the queue is full: even the connection waits
+            waiting.connect(listener.getsockname())
+        yield
+        listener.shutdown(socket.SHUT_RDWR)
+
+
 class Page(Monitor):
     """A running `cushion monitor` in the runtime folder `base`, and requests to it."""
 
@@ -104,10 +132,9 @@ class Page(Monitor):
 
     def live(self, **headers: str) -> ClientConnection:
         """An open live connection, as the page's own script opens it."""
-        sent = {"Origin": f"http://{self.host}", "Cookie": self.cookie, **headers}
         return connect(
             f"ws://{self.host}/live",
-            additional_headers=sent,
+            additional_headers={"Origin": f"http://{self.host}", "Cookie": self.cookie, **headers},
             compression=None,
             max_size=1 << 20,
             open_timeout=LIMIT_S,

@@ -22,9 +22,7 @@ from tests.servers.listening import wait_for
 
 FORBIDDEN = 403
 UPGRADE = (
-    "Connection: Upgrade",
-    "Upgrade: websocket",
-    "Sec-WebSocket-Version: 13",
+    *("Connection: Upgrade", "Upgrade: websocket", "Sec-WebSocket-Version: 13"),
     "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==",
 )
 
@@ -91,11 +89,9 @@ def test_a_foreign_origin_is_refused_even_with_the_cookie_and_a_missing_one_as_w
     "cookie", ["", "cushion=1", "{name}=", "{name}={wrong}", "{right}; {right}"]
 )
 def test_without_the_token_or_with_a_wrong_one_nothing_live_is_told(served, cookie):
-    name = f"cushion_{served.port}"
-    given = cookie.format(name=name, wrong="0" * 32, right=served.cookie)
+    given = cookie.format(name=f"cushion_{served.port}", wrong="0" * 32, right=served.cookie)
     for path in ("/live", "/metrics", "/session"):
-        own = f"Origin: http://{served.host}"
-        check_refused(served, path, own, f"Cookie: {given}", *UPGRADE)
+        check_refused(served, path, f"Origin: http://{served.host}", f"Cookie: {given}", *UPGRADE)
     with pytest.raises(InvalidStatus, match="403"):
         served.live(Cookie=given)
 
@@ -113,8 +109,7 @@ def test_the_token_becomes_a_cookie_that_no_script_and_no_other_site_can_use(ser
     assert {"HttpOnly", "SameSite=Strict", "Path=/"} <= set(cookie.split("; "))
     assert served.cookie in cookie
     path = base / "cushion" / TOKEN_NAME
-    assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    assert path.read_text() == served.token
+    assert (stat.S_IMODE(path.stat().st_mode), path.read_text()) == (0o600, served.token)
     assert len(bytes.fromhex(served.token)) == 16  # 128 bits
 
 
@@ -170,8 +165,7 @@ def test_garbage_instead_of_a_request_and_headers_without_end_are_closed(served,
 @pytest.mark.parametrize(
     "sent",
     [
-        "x" * 5 * 1024,
-        '{"id": 1, "set": {"gain_db": ' + "9" * 5_000 + "}}",
+        *("x" * 5 * 1024, '{"id": 1, "set": {"gain_db": ' + "9" * 5_000 + "}}"),
         *("{", "[1, 2]", '"mute"', "[" * 2_000, '{"mute": true}', '{"id": "1", "mute": true}'),
         *(b"\x00\xff\xfe garbage", b'{"id": 1, "mute": true}'),
     ],
@@ -241,8 +235,7 @@ def test_a_token_stays_from_run_to_run_and_a_doubtful_one_is_replaced(tmp_path):
         second = load_token(folder)
         assert second != token
         path.write_text("short")
-        third = load_token(folder)
-        assert third not in (token, second, "short")
+        assert load_token(folder) not in (token, second, "short")
         path.unlink()
         path.symlink_to("/etc/hostname")
         with pytest.raises(Exception, match="cannot keep the token"):

@@ -1,16 +1,12 @@
 """The page's server: what browsers are told, frames, and daemons that misbehave."""
 
 import json
-import os
 import shutil
 import signal
 import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
 from typing import Any
 from unittest.mock import ANY
 
@@ -19,10 +15,19 @@ from websockets.sync.client import ClientConnection
 
 from audioflinger_hook.daemon.native.page import Page as NativePage
 from audioflinger_hook.service.runtime_folder import FOLDER_NAME
-from audioflinger_hook.service.status_server import NAME
-from tests.monitor.stand_in import LIMIT_S, Page, Settings, ask, daemon_socket, message, page
+from tests.monitor.stand_in import (
+    LIMIT_S,
+    Page,
+    Settings,
+    ask,
+    daemon_socket,
+    message,
+    odd_daemon,
+    page,
+)
 from tests.servers.listening import need, wait_for
 from tests.support.commands import RUN, call
+from tests.support.memory import resident_bytes
 
 
 def test_a_browser_is_told_everything_and_its_requests_are_carried_out_in_order(tmp_path):
@@ -32,13 +37,11 @@ def test_a_browser_is_told_everything_and_its_requests_are_carried_out_in_order(
         assert ["samples", "0 limited, 0 replaced", "", ANY] in shown["panels"]["health"]
         assert shown["panels"]["rig"] == []
         assert [name for name, _, _ in shown["parts"]][:3] == ["tap", "transform", "driving"]
-        frame = message(live, "frame")
-        assert frame["frame"]["partials"] == [[440, 100, 0.5]]
+        assert message(live, "frame")["frame"]["partials"] == [[440, 100, 0.5]]
         assert daemon.page == served.address
         for number in range(20):
             live.send(json.dumps({"id": number, "set": {"gain_db": -number}}))
-        answered = [message(live, "answer")["id"] for _ in range(20)]
-        assert answered == list(range(20))
+        assert [message(live, "answer")["id"] for _ in range(20)] == list(range(20))
         assert [asked["set"]["gain_db"] for asked in daemon.requests] == [-n for n in range(20)]
 
 
@@ -73,33 +76,6 @@ def test_without_a_daemon_the_page_says_so_and_finds_the_next_one(tmp_path):
             assert not message(live, "link")["link"]["connected"]
 
 
-@contextmanager
-def bad_daemon(base: Path, behave: Callable[[socket.socket], None]) -> Iterator[None]:
-    """A socket in the daemon's place whose connections do as told."""
-    folder = base / FOLDER_NAME
-    folder.mkdir(mode=0o700, exist_ok=True)
-    listener = socket.socket(socket.AF_UNIX)
-    opened = os.open(folder, os.O_RDONLY)
-    listener.bind(f"/proc/self/fd/{opened}/{NAME}")
-    os.close(opened)
-    listener.listen(8)
-
-    def serve() -> None:
-        with suppress(OSError):
-            while True:
-                client, _ = listener.accept()
-                with client, suppress(OSError):
-                    client.recv(4096)
-                    behave(client)
-
-    threading.Thread(target=serve, daemon=True).start()
-    try:
-        yield
-    finally:
-        listener.shutdown(socket.SHUT_RDWR)
-        listener.close()
-
-
 OLD = b'{"error": "the request is not known; allowed: {\\"ask\\": \\"status\\"}"}\n'
 NEW = b'{"error": "this daemon (version 9.0) speaks protocol 9; restart the page"}\n'
 HELLO = b'{"hello": {"protocol": 1, "version": "0.1.0"}}\n'
@@ -118,7 +94,7 @@ HELLO = b'{"hello": {"protocol": 1, "version": "0.1.0"}}\n'
 )
 def test_a_daemon_that_is_not_understood_is_told_in_words(tmp_path, answer, words):
     with (
-        bad_daemon(tmp_path, lambda client: client.sendall(answer)),
+        odd_daemon(tmp_path, lambda client: client.sendall(answer)),
         page(tmp_path) as served,
         served.live() as live,
     ):
@@ -137,7 +113,7 @@ def test_a_daemon_that_stalls_is_left_and_asked_again(tmp_path, monkeypatch):
 
     hasty = "from audioflinger_hook.monitor import daemon_link\ndaemon_link.SILENT_S = 1.0\n"
     monkeypatch.setattr("tools.live_page.CUSHION", (sys.executable, "-c", hasty + RUN))
-    with bad_daemon(tmp_path, stall), page(tmp_path) as served, served.live() as live:
+    with odd_daemon(tmp_path, stall), page(tmp_path) as served, served.live() as live:
         assert message(live, "link")["link"]["connected"]
         assert "the daemon has sent nothing for 1 s" in message(live, "link")["link"]["text"]
         gone.set()
@@ -151,28 +127,62 @@ def test_a_daemon_that_floods_costs_no_memory(tmp_path):
         while True:
             client.sendall(frame)
 
-    with bad_daemon(tmp_path, flood), page(tmp_path) as served, served.live() as live:
+    with odd_daemon(tmp_path, flood), page(tmp_path) as served, served.live() as live:
         message(live, "frame")
-        resident = _resident_kb(served.process.pid)
+        resident = resident_bytes(served.process.pid)
         for _ in range(300):
             message(live, "frame")
-        assert _resident_kb(served.process.pid) < resident + 4_000  # kB; a backlog would be 100 MB
+        # a backlog would be 100 MB
+        assert resident_bytes(served.process.pid) < resident + 4_000_000
         assert served.request("/")[0] == 200
 
 
-def _resident_kb(pid: int) -> int:
-    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS"))
-
-
 def test_a_port_in_use_is_one_line_and_exit_code_2(tmp_path):
-    with page(tmp_path) as served:
-        second = Page(tmp_path, "--listen", served.host)
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        second = Page(tmp_path, "--listen", f"127.0.0.1:{port}")
         assert second.process.wait(LIMIT_S) == 2
         second.close()
         assert second.stderr.count("\n") == 1
-        assert f"{served.host} is in use" in second.stderr
-        assert f"--listen 127.0.0.1:{served.port + 1}" in second.stderr
+        assert f"127.0.0.1:{port} is in use" in second.stderr
+        assert f"--listen 127.0.0.1:{port + 1}" in second.stderr
+
+
+def test_a_page_that_is_served_already_is_shown_and_one_that_has_ended_is_served_anew(
+    tmp_path, monkeypatch
+):
+    shown, browser = tmp_path / "shown", tmp_path / "browser"
+    browser.write_text(f'#!/bin/sh\ncp "${{1#file://}}" {shown}\n')
+    browser.chmod(0o700)
+    monkeypatch.setenv("BROWSER", f"{browser} %s")
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    with page(tmp_path, "--listen", f"127.0.0.1:{port}") as served:
+        second = Page(tmp_path, "--listen", served.host, "--open")
+        assert second.process.wait(LIMIT_S) == 0
+        second.close()
+        assert second.address == served.address
+        assert served.address in shown.read_text()
+        served.process.kill()
+        served.process.wait()
+        third = Page(tmp_path, "--listen", served.host)
+        assert (third.request("/")[0], third.close()) == (200, 130)
+
+
+def test_a_trial_ends_when_the_browser_that_plays_it_disappears(tmp_path):
+    tries = {"sync": {"try_ms": 120}}
+    with daemon_socket(tmp_path) as daemon, page(tmp_path) as served:
+        with served.live() as stays, served.live() as goes:
+            assert ask(stays, 1, mute=True) == {"done": True}
+            assert ask(goes, 1, **tries) == {"done": True}
+            goes.socket.shutdown(socket.SHUT_RDWR)
+            wait_for(lambda: len(daemon.requests) == 3, "end of the trial", LIMIT_S)
+            assert daemon.requests[-1]["sync"] == {"try_ms": None}
+            assert ask(stays, 2, **tries) == {"done": True}
+            assert ask(stays, 3, sync={"store_ms": 100}) == {"done": True}
+        with served.live() as other:
+            assert ask(other, 1, mute=False) == {"done": True}
+        assert [asked.get("sync") for asked in daemon.requests[-2:]] == [{"store_ms": 100}, None]
 
 
 def test_a_page_for_the_network_warns_and_still_needs_the_token(tmp_path):
@@ -232,18 +242,12 @@ def test_the_metrics_are_those_of_the_status_in_base_units(tmp_path):
         message(live, "status")
         lines = metrics_of(served).splitlines()
     for line in (
-        "cushion_up 1.0",
-        'cushion_state{state="running"} 1.0',
-        'cushion_state{state="idle"} 0.0',
-        'cushion_engine{engine="python"} 1.0',
-        'cushion_hop_seconds_bucket{le="0.0001"} 1.0',
-        "cushion_hop_seconds_count 6.0",
-        "cushion_late_callbacks_total 1.0",
-        'cushion_recoveries_total{cause="device-lost"} 0.0',
-        "cushion_clock_ratio 1.0",
-        'cushion_delay_part_seconds{part="delay_line"} 0.003',
-        "cushion_delay_seconds 0.003",
-        'cushion_xruns_total{stream="output"} 0.0',
+        *("cushion_up 1.0", 'cushion_state{state="running"} 1.0'),
+        *('cushion_state{state="idle"} 0.0', 'cushion_engine{engine="python"} 1.0'),
+        *('cushion_hop_seconds_bucket{le="0.0001"} 1.0', "cushion_hop_seconds_count 6.0"),
+        *("cushion_late_callbacks_total 1.0", 'cushion_recoveries_total{cause="device-lost"} 0.0'),
+        *("cushion_clock_ratio 1.0", 'cushion_delay_part_seconds{part="delay_line"} 0.003'),
+        *("cushion_delay_seconds 0.003", 'cushion_xruns_total{stream="output"} 0.0'),
         f'cushion_level_peak_ratio{{signal="vibration"}} {10.0 ** (-12.0 / 20.0)}',
         "cushion_muted 0.0",
     ):
@@ -288,7 +292,7 @@ def native(tmp_path):
 
 def play(native: NativePage, hz: float) -> None:
     """Write as the plugin does at the end of a buffer."""
-    written = native._page.readings
+    written = native.readings
     written.partials_count = 1
     written.partials[0][:] = (hz, 100.0, 0.25)
     written.sequence += 2
@@ -300,7 +304,7 @@ def partials(live: ClientConnection) -> Any:
     return message(live, "frame")["frame"]["partials"]
 
 
-def test_frames_show_the_memory_of_the_native_engine_while_it_plays(tmp_path, native):
+def test_frames_show_the_native_engines_memory_and_the_daemon_makes_few(tmp_path, native):
     daemon = Native(name="memory", channels=2, actuators=1)
     with daemon_socket(tmp_path, daemon), page(tmp_path) as served, served.live() as live:
 
@@ -313,15 +317,9 @@ def test_frames_show_the_memory_of_the_native_engine_while_it_plays(tmp_path, na
         frame = message(live, "frame")["frame"]
         assert (frame["sound"], frame["vibration"]) == ([[0, 0], [0.5, 0.125]], [[0, 0]])
         wait_for(lambda: partials(live) == [], "silence once nothing is processed")
-        native._page.readings.frames += 512  # sound again, and nothing found in it yet
+        native.readings.frames += 512  # sound again, and nothing found in it yet
         assert partials(live) == []
         wait_for(lambda: shows(330.0), "the next partial")
-
-
-def test_the_daemon_makes_few_frames_for_a_client_that_reads_its_memory(tmp_path, native):
-    daemon = Native(name="memory", channels=2, actuators=1)
-    with daemon_socket(tmp_path, daemon), page(tmp_path) as served, served.live() as live:
-        message(live, "frame")
         before = daemon.frames
         for _ in range(60):
             message(live, "frame")
@@ -333,9 +331,7 @@ def test_the_daemon_makes_few_frames_for_a_client_that_reads_its_memory(tmp_path
     "wrong",
     [
         *({"name": name} for name in ("../memory", "text", "link", "none", 5)),
-        *({"channels": channels} for channels in (9, "2", 2.0)),
-        {"actuators": 1 << 40},
-        None,
+        *(*({"channels": channels} for channels in (9, "2", 2.0)), {"actuators": 1 << 40}, None),
     ],
     ids=str,
 )

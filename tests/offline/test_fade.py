@@ -23,13 +23,11 @@ FADE = round(FADE_S * RATE)
 
 
 def rendered(source: Path, out: Path, settings: Settings, fade_s: float = FADE_S) -> FloatArray:
-    """Return what a file's rendering holds, (frames, channels)."""
     render(TapClient(FileTap(source)), out, settings, fade_s=fade_s)
     return vibration(out).astype(np.float64)
 
 
 def gains(frames: int) -> FloatArray:
-    """Return the gain of each of the last frames, (frames, 1)."""
     share = (np.arange(frames)[:, None] + 0.5) / max(1, frames)
     return np.asarray(0.5 + 0.5 * np.cos(np.pi * share))
 
@@ -89,8 +87,7 @@ def test_no_sample_depends_on_the_blocks_and_none_is_lost(fade, lengths, channel
         output.write(block)
         assert np.array_equal(block, before)
     output.close()
-    faded = min(fade, len(frames))
-    whole = frames.copy()
+    faded, whole = min(fade, len(frames)), frames.copy()
     whole[len(frames) - faded :] *= gains(faded)
     np.testing.assert_allclose(kept.whole, whole, atol=1e-6)
     assert kept.ended == ["closed"]
@@ -102,5 +99,4 @@ def test_an_aborted_file_gets_nothing_more():
     output = FadedOutput(kept, FADE)
     output.write(np.ones((2 * FADE, 1)))
     output.abort()
-    assert len(kept.whole) == FADE
-    assert kept.ended == ["aborted"]
+    assert (len(kept.whole), kept.ended) == (FADE, ["aborted"])

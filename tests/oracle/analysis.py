@@ -40,8 +40,7 @@ def all_principal(s: Any, spectra: ComplexArray) -> Principals:
 
 def strongest_principal(s: Any, spectra: ComplexArray) -> Principals:
     """Return what vibrates of each row: no side lobes of its highest peak, and the n largest r."""
-    found = all_principal(s, spectra)
-    highest = np.zeros(len(spectra))
+    found, highest = all_principal(s, spectra), np.zeros(len(spectra))
     np.maximum.at(highest, found.row, found.amplitude)
     found = found.take(found.amplitude > s.side_lobe * highest[found.row])
     bins = np.rint(found.audio_hz / s.bin_hz)

@@ -55,8 +55,7 @@ class Strength:
         move += missing * (s.programme_rise if missing > 0.0 else s.programme_fall)
         if self.heard < s.start_ticks:
             self.heard += 1
-            far = np.clip(above + s.start_near, -s.far, 0.0)
-            move += far / (s.start_weight + self.heard)
+            move += np.clip(above + s.start_near, -s.far, 0.0) / (s.start_weight + self.heard)
         moved = self.programme_db + gate * move
         self.programme_db = float(np.clip(moved, s.programme_min, s.programme_top))
 

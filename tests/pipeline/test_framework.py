@@ -44,8 +44,7 @@ def test_the_vibration_is_the_transforms_and_the_sound_the_same_bits(form, mode,
     alone = transformed(frames, form=form, per_channel=mode == "each")
     assert vibration.tobytes() == alone.tobytes()
     assert np.abs(vibration).max() > 0.05
-    assert audio.tobytes() == frames.tobytes()
-    assert framework.bypassed() == []
+    assert (audio.tobytes(), framework.bypassed()) == (frames.tobytes(), [])
     assert framework.replaced_samples == 1
 
 
@@ -63,8 +62,7 @@ def test_vibration_and_declared_latency_are_so_at_every_rate_and_in_long_cycles(
 
 
 def test_only_what_a_device_gets_is_cut_to_full_scale():
-    peaks = []
-    loud = music(24_000, level=5.0)
+    peaks, loud = [], music(24_000, level=5.0)
     for form in ("live", "reference"):
         framework = Framework(RATE, 2, Settings(form=form))
         _, vibration = steps_of(TapClient(FramesTap(loud, RATE, 500)), framework)
@@ -103,14 +101,12 @@ def test_a_rendering_whose_effect_fails_is_an_error_without_a_file(tmp_path, mon
     before = listing(tmp_path)
     failing_after(buffers, monkeypatch)
     done = call("render", source, tmp_path / "out.wav", "--acceleration", tmp_path / "felt.wav")
-    said = refused(done, 5)
-    assert "the haptic effect failed: raised ArithmeticError: nothing adds up" in said
+    assert "the haptic effect failed: raised ArithmeticError: nothing adds up" in refused(done, 5)
     assert listing(tmp_path) == before
 
 
 def test_the_sound_goes_on_and_the_vibration_rests_where_our_effect_fails(monkeypatch):
-    frames = music(4_800)
-    framework = Framework(RATE, 2)
+    frames, framework = music(4_800), Framework(RATE, 2)
     chain = Pipeline(TapClient(FramesTap(frames, RATE, 480)), framework, ())
     failing_after(4, monkeypatch)
     for first in range(0, 4_800, 480):
@@ -147,8 +143,7 @@ def test_without_actuators_each_channel_of_the_vibration_has_the_settings_rig():
     settings = Settings(rig="consumer", protection="on")
     channel_map = channel_map_of(settings, 2)
     assert channel_map == ChannelMap(2, (0, 1))
-    rig = simulated_rig_of(settings, LOW_RATE, channel_map)
-    assert rig.channels == 2
+    assert simulated_rig_of(settings, LOW_RATE, channel_map).channels == 2
     drive = drive_of(settings, LOW_RATE, 2)
     assert drive.outputs == 2
     assert drive.processors[0] is not None

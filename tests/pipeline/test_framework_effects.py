@@ -15,38 +15,14 @@ from audioflinger_hook.pipeline.framework import Framework
 from audioflinger_hook.sources import FramesTap, TapClient
 from device.drive.outputs import FADE_S
 from device.errors import UsageError
-from tests.effect.test_registry import HALVER, HALVER_UUID, entry
+from tests.effect.test_registry import EFFECT, HALVER, HALVER_UUID, entry
 from tests.support.commands import call, listing, refused, sound, vibration
 from tests.support.pipelines import RATE, music, steps_of, transformed
 
 OTHER_UUID = UUID("5d0a6a3e-95f9-4b6c-8f6e-0d6a5a4f0007")
 
-OTHER = f"""
-    from uuid import UUID
-    from audioflinger_hook.effect.interface import OK, EffectDescriptor, EffectFlag
-    from audioflinger_hook.effect.registry import EffectLibrary
-
-    NOW_S = [0.0]
-    SEEN = [0]
-    FLAGS = EffectFlag.INSERT
-
-    OTHER = EffectDescriptor(UUID(int=9), UUID("{OTHER_UUID}"), "Other", "somebody else", FLAGS)
-
-    class Other:
-        descriptor = OTHER
-
-        def process(self, source, target):
-            SEEN[0] += 1
-            if SEEN[0] > 3:
-                MISBEHAVE
-            target.audio[:] = -source.audio
-            return OK
-
-        def command(self, code, data=None):
-            return OK, None
-
-    LIBRARY = EffectLibrary("other", ((OTHER, Other),))
-"""
+MISBEHAVES = f"if SEEN[0] > 3: MISBEHAVE\n{' ' * 12}target.audio[:] = -source.audio"
+OTHER = EFFECT.format(name="Other", library="other", uuid=OTHER_UUID, does=MISBEHAVES)
 
 
 def effects_xml(*libraries, effects, applied):
@@ -110,8 +86,7 @@ def test_ours_reads_what_every_other_effect_has_made_of_the_sound(halver_applied
     frames = music(9_600)
     framework, audio, felt = playing(frames, halver_applied(applied=applied))
     halved = frames * np.float32(0.5)
-    assert audio.tobytes() == halved.tobytes()
-    assert felt.tobytes() == transformed(halved).tobytes()
+    assert (audio.tobytes(), felt.tobytes()) == (halved.tobytes(), transformed(halved).tobytes())
     assert framework.warnings == framework.bypassed() == []
     assert "Effect 0: Halver" in dump(framework.mixer)
     assert "Effect 1: Haptic Cushion" in dump(framework.mixer)
@@ -131,8 +106,7 @@ def test_an_effect_that_fails_is_bypassed_and_named_and_we_go_on(other_applied):
     framework, audio, felt = playing(frames, other_applied("target.audio = None; return OK"))
     heard = -frames
     heard[3 * 480 :] = frames[3 * 480 :]
-    assert audio.tobytes() == heard.tobytes()
-    assert felt.tobytes() == transformed(heard).tobytes()
+    assert (audio.tobytes(), felt.tobytes()) == (heard.tobytes(), transformed(heard).tobytes())
     (bypassed,) = framework.bypassed()
     assert bypassed.startswith(f"session 0, Other: {reason}")
     assert f"Bypassed: {reason}" in dump(framework.mixer)
@@ -154,8 +128,7 @@ def test_sound_that_is_not_played_as_it_is_made_has_all_the_time_there_is(other_
     path = other_applied("sum(range(1_000_000))")  # over 5 ms, whatever the machine
     frames = music(4_800)
     framework, audio, _ = playing(frames, path)
-    assert audio.tobytes() == (-frames).tobytes()
-    assert framework.bypassed() == []
+    assert (audio.tobytes(), framework.bypassed()) == ((-frames).tobytes(), [])
 
 
 def test_a_rendering_runs_its_configs_effects_and_warns_of_one_bypassed(tmp_path, other_applied):
@@ -166,7 +139,7 @@ def test_a_rendering_runs_its_configs_effects_and_warns_of_one_bypassed(tmp_path
     assert done.code == 0
     warning = (
         "effect bypassed: session 0, Other: "
-        "raised KeyError: 'lost' in process (other_package.py, line 18)"
+        "raised KeyError: 'lost' in process (other_package.py, line 15)"
     )
     assert done.stderr == f"cushion: warning: {warning}\n"
     assert json.loads(done.stdout)["warnings"] == [warning]
@@ -197,8 +170,7 @@ def test_what_an_effects_file_declares_in_vain_is_warned_of_and_ours_runs(site, 
     path = effects_file("cushion", "halving", effects=[OURS, HALVING], applied=["halver", "ours"])
     frames = music(4_800)
     framework, audio, felt = playing(frames, path)
-    assert audio.tobytes() == frames.tobytes()
-    assert felt.tobytes() == transformed(frames).tobytes()
+    assert (audio.tobytes(), felt.tobytes()) == (frames.tobytes(), transformed(frames).tobytes())
     text = "\n".join(framework.warnings)
     assert "library 'halving' of package 'broken_package' is left out" in text
     assert f"{path}: line 3: <library> path='halving' is an unknown library" in text
@@ -236,10 +208,8 @@ def test_an_effect_that_lets_no_other_beside_it_is_named_where_it_keeps_ours_out
     ],
 )
 def test_a_file_that_does_not_apply_our_effect_is_refused(tmp_path, effects_file, xml, reason):
-    path = effects_file(xml)
-    source = sound(tmp_path / "in.wav", music(500))
-    before = listing(tmp_path)
-    options = ["--config", tmp_path / "config.toml"]
+    path, source = effects_file(xml), sound(tmp_path / "in.wav", music(500))
+    before, options = listing(tmp_path), ["--config", tmp_path / "config.toml"]
     said = refused(call("render", source, tmp_path / "out.wav", *options))
     assert "does not apply the haptic effect" in said
     assert str(path) in said
@@ -250,10 +220,8 @@ def test_a_file_that_does_not_apply_our_effect_is_refused(tmp_path, effects_file
 @pytest.mark.parametrize(
     ("value", "wrong"),
     [
-        ('"none.xml"', '= "none.xml" is not a file'),
-        ('"."', '= "." is not a file'),
-        ('""', '= "" is not a path'),
-        ("3", "= 3 is not a path"),
+        *(('"none.xml"', '= "none.xml" is not a file'), ('"."', '= "." is not a file')),
+        *(('""', '= "" is not a path'), ("3", "= 3 is not a path")),
         ('"a\\u0000b"', "is not a file"),
     ],
 )

@@ -91,8 +91,7 @@ def test_a_step_moves_one_buffer_and_the_last_step_only_what_is_owed(mix):
     steps, owed = list(iter(chain.step, None)), framework.latency_frames
     assert [step.audio.shape for step in steps] == [*[(800, 2)] * 30, (0, 2)]
     assert [step.vibration.shape for step in steps] == [*[(800, 1)] * 30, (owed, 1)]
-    assert [chain.step() for _ in range(3)] == [None] * 3
-    assert len(output.whole) == 24_000 + owed
+    assert ([chain.step() for _ in range(3)], len(output.whole)) == ([None] * 3, 24_000 + owed)
 
 
 def test_a_sound_of_a_single_frame_goes_through(tmp_path):
@@ -144,8 +143,7 @@ def test_an_output_that_fails_stops_the_chain_and_abort_discards_the_others(mix,
 
 @given(st.integers(0, 50), st.lists(st.integers(0, 20), max_size=12))
 def test_alignment_drops_exactly_the_first_frames_however_they_come(latency, lengths):
-    frames = np.arange(float(sum(lengths)))[:, None] + 1.0
-    output = KeptOutput(RATE)
+    frames, output = np.arange(float(sum(lengths)))[:, None] + 1.0, KeptOutput(RATE)
     aligned = AlignedOutput(output, latency)
     assert (aligned.samplerate, aligned.channels) == (RATE, 1)
     for block in np.split(frames, np.cumsum(lengths)[:-1]) if lengths else []:
@@ -156,8 +154,7 @@ def test_alignment_drops_exactly_the_first_frames_however_they_come(latency, len
 
 
 def test_a_sink_takes_the_vibration_and_clips_it_last():
-    output = KeptOutput(RATE)
-    buffer = MixBuffer(4, 2, 1)
+    output, buffer = KeptOutput(RATE), MixBuffer(4, 2, 1)
     buffer.audio[:] = 0.25
     buffer.haptic[:, 0] = 0.75, 3.0, -8.0, np.nan
     HapticSink(output).write(buffer)

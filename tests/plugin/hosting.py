@@ -43,15 +43,9 @@ Run = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_ulong)
 Call = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
 Descriptor._fields_ = [
-    ("implementation", ctypes.c_void_p),
-    ("instantiate", Instantiate),
-    ("connect_port", Connect),
-    ("activate", Call),
-    ("run", Run),
-    ("run_adding", ctypes.c_void_p),
-    ("set_run_adding_gain", ctypes.c_void_p),
-    ("deactivate", ctypes.c_void_p),
-    ("cleanup", Call),
+    *(("implementation", ctypes.c_void_p), ("instantiate", Instantiate), ("connect_port", Connect)),
+    *(("activate", Call), ("run", Run), ("run_adding", ctypes.c_void_p)),
+    *(("set_run_adding_gain", ctypes.c_void_p), ("deactivate", ctypes.c_void_p), ("cleanup", Call)),
 ]
 
 
@@ -129,15 +123,17 @@ def damaged(design: bytes) -> dict[str, bytes]:
     }
 
 
-def any_sound(rng: np.random.Generator, rate_hz: int, frames: int, channels: int) -> Floats:
-    """Bursts of tones and noise in unequal and opposite channels, with unusable samples in them."""
+def any_sound(
+    rng: np.random.Generator, rate_hz: int, frames: int, channels: int, odd: Sequence[float] = ODD
+) -> Floats:
+    """Bursts of tones and noise in unequal and opposite channels, with odd samples in them."""
     at_s = np.arange(frames) / rate_hz
     tones = np.sin(2 * np.pi * 440.0 * at_s) + 0.4 * np.sin(2 * np.pi * 1_130.0 * at_s)
     parts = rng.uniform(-0.5, 0.5, channels) * tones[:, None]
     parts += 0.05 * rng.standard_normal(parts.shape)
     parts *= ((at_s % 0.5) < 0.3)[:, None]
-    for odd in ODD:
-        parts[rng.integers(0, frames, 5), rng.integers(0, channels, 5)] = odd
+    for sample in odd:
+        parts[rng.integers(0, frames, 5), rng.integers(0, channels, 5)] = sample
     return parts.astype(np.float32)
 
 
@@ -155,8 +151,7 @@ class Instance:
     def __init__(self, label: str, rate_hz: int) -> None:
         self._variant = descriptors()[label]
         handle = self._variant.instantiate(ctypes.byref(self._variant), rate_hz)
-        self.made = bool(handle)
-        self._handle = handle
+        self.made, self._handle = bool(handle), handle
         # Ports: 9 is an audio input, 10 an audio output, 4 a bit of controls.
         kinds = [self._variant.port_descriptors[port] for port in range(self._variant.port_count)]
         self._inputs = [port for port, kind in enumerate(kinds) if kind == 9]
@@ -164,8 +159,7 @@ class Instance:
         controls = [port for port, kind in enumerate(kinds) if kind & 4]
         self.controls = (ctypes.c_float * len(controls))()
         for index, port in enumerate(controls if self.made else ()):
-            place = ctypes.addressof(self.controls) + 4 * index
-            self._variant.connect_port(handle, port, place)
+            self._variant.connect_port(handle, port, ctypes.addressof(self.controls) + 4 * index)
         if self.made:
             self._variant.activate(handle)
 
@@ -180,8 +174,7 @@ class Instance:
 
     def run(self, sound: Floats, *, in_place: bool = False) -> Floats:
         """The vibration of a block, (frames, outputs)."""
-        frames = len(sound)
-        rows = np.ascontiguousarray(sound.T, np.float32)
+        frames, rows = len(sound), np.ascontiguousarray(sound.T, np.float32)
         out = rows if in_place else np.full((len(self._outputs), frames), np.nan, np.float32)
         for row, port in zip(rows, self._inputs, strict=True):
             self._variant.connect_port(self._handle, port, row.ctypes.data)

@@ -1,9 +1,7 @@
 """The plugin as a LADSPA host sees it: the bytes of the transform, and no way to stop a host."""
 
 import ctypes
-import json
-import subprocess
-import sys
+import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -44,6 +42,7 @@ from tests.plugin.hosting import (
     vibration,
     write_design,
 )
+from tests.support.programs import printed
 
 RATE_HZ = 48_000
 GAIN, DELAY, BYPASS = 0, 1, 2
@@ -61,17 +60,7 @@ def designs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder
 
 
-def bursts(seconds: float) -> Floats:
-    """Bursts of two tones and noise, with silence between them, in two channels."""
-    rng = np.random.default_rng(1)
-    at_s = np.arange(int(seconds * RATE_HZ)) / RATE_HZ
-    tones = np.sin(2 * np.pi * 440.0 * at_s) + 0.4 * np.sin(2 * np.pi * 1_130.0 * at_s)
-    on = (at_s % 0.5) < 0.3
-    sound = np.stack([0.3 * tones, 0.2 * tones + 0.05 * rng.standard_normal(at_s.size)], 1)
-    return (sound * on[:, None]).astype(np.float32)
-
-
-SOUND = bursts(2.0)
+SOUND = any_sound(np.random.default_rng(1), RATE_HZ, 2 * RATE_HZ, 2, odd=())
 Plug = Callable[[str], Instance]
 
 
@@ -95,8 +84,7 @@ def test_a_variant_gives_the_bytes_of_ctypes_at_any_rate_with_any_blocks_sound_a
 ) -> None:
     rng = np.random.default_rng(seed)
     sound = any_sound(rng, rate_hz, FRAMES, 2)
-    design = write_design(designs, profile, rate_hz).read_bytes()
-    wanted = Core(design).process(sound)[:, 0]
+    wanted = Core(write_design(designs, profile, rate_hz).read_bytes()).process(sound)[:, 0]
     instance = Instance(f"haptic_cushion_{profile}", rate_hz)
     # decibels, milliseconds: what is beyond the range counts as its end, what is no number as 0
     gain_db, gain = [(0.0, 1.0), (np.nan, 1.0), (1e30, 10.0), (-np.inf, 1e-3)][rng.integers(4)]
@@ -114,8 +102,10 @@ def test_a_variant_gives_the_bytes_of_ctypes_at_any_rate_with_any_blocks_sound_a
     np.testing.assert_array_max_ulp(got[:, 0], wanted, maxulp=int(gain != 1.0))
 
 
-def test_inputs_may_be_the_outputs(plug: Plug) -> None:
+def test_activate_begins_a_new_stream_whose_inputs_may_be_the_outputs(plug: Plug) -> None:
     instance = plug("paper")
+    instance.run(SOUND[: RATE_HZ // 3])
+    instance.activate()
     parts = [instance.run(part, in_place=True) for part in split(SOUND, (480, 5_000))]
     assert np.array_equal(np.concatenate(parts)[:, 1], vibration(SOUND, "paper", RATE_HZ))
 
@@ -127,18 +117,9 @@ def test_mono_takes_one_channel(plug: Plug) -> None:
     assert np.array_equal(got[:, 0], vibration(SOUND[:, :1], LIVE_DEFAULT, RATE_HZ))
 
 
-def test_activate_begins_a_new_stream(plug: Plug) -> None:
-    instance = plug("cinema")
-    instance.run(SOUND[: RATE_HZ // 3])
-    instance.activate()
-    got = instance.run(SOUND)
-    assert np.array_equal(got[:, 0], vibration(SOUND, "cinema", RATE_HZ))
-
-
 def test_it_reports_latency_and_peaks(plug: Plug) -> None:
     instance = plug("paper")
-    got = instance.run(SOUND)
-    controls = list(instance.controls)
+    got, controls = instance.run(SOUND), list(instance.controls)
     instance.controls[DELAY] = 10.0
     for _ in range(20):
         instance.run(SOUND[:1024])
@@ -162,10 +143,8 @@ def steady(instance: Instance, blocks: int, frames: int = 1024) -> Floats:
 def test_a_gain_is_reached_within_one_buffer_and_without_a_click(plug: Plug) -> None:
     instance = plug("paper")
     instance.controls[GAIN] = -6.0
-    before = steady(instance, 40)
-    plain = plug("paper")
-    reference = steady(plain, 40)
-    assert np.allclose(before, 10 ** (-6 / 20) * reference, atol=1e-7)
+    before, plain = steady(instance, 40), plug("paper")
+    assert np.allclose(before, 10 ** (-6 / 20) * steady(plain, 40), atol=1e-7)
     instance.controls[GAIN] = 0.0
     after = steady(instance, 10)
     assert np.array_equal(after[1024:], steady(plain, 10)[1024:])
@@ -204,6 +183,8 @@ Daemon = Callable[..., tuple[Page, Instance]]
 @pytest.fixture
 def daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Daemon]:
     """Makes a page and an instance of a design for it, which end with the test."""
+    os.mkfifo(tmp_path / "changes")
+    monkeypatch.setenv("HAPTIC_CUSHION_CHANGES", str(tmp_path / "changes"))
     with ExitStack() as opened:
 
         def make(design: bytes, channels: int, voices: int, sources: list[int]) -> Any:
@@ -220,6 +201,90 @@ def padded(sound: Floats) -> Floats:
     return np.pad(sound, ((0, 0), (0, 8 - sound.shape[1])))
 
 
+UNDRIVEN = driven_design(RATE_HZ, 2, (), [None])
+HEARS, FADES = round(0.2 * RATE_HZ), round(0.04 * RATE_HZ)  # see daemon_core.c
+
+
+def change(page: Page, number: int, design: bytes, delay_frames: float = 0.0) -> None:
+    """Let the plugin change to a design, as the daemon does."""
+    folder = page.path.parent
+    (folder / f"design.{number}").write_bytes(design)
+    page.prepare(number, 1, [0])
+    page.set_actuator(0, 1.0, delay_frames)
+    page.layout.wanted = number
+    file = os.open(folder / "changes", os.O_WRONLY | os.O_NONBLOCK)
+    os.write(file, b"\0")
+    os.close(file)
+
+
+@pytest.mark.parametrize("delay", [0, RATE_HZ // 3])
+def test_another_design_takes_over_by_a_cross_fade_once_it_heard_the_sound(
+    daemon: Daemon, delay: int
+) -> None:
+    first, second = UNDRIVEN, any_design("protected", RATE_HZ, 2)
+    page, instance = daemon(first, 2, 1, [0])
+    page.set_audible(True)
+    page.set_actuator(0, 1.0, delay)
+    rng, sound, played = np.random.default_rng(5), [], []
+
+    def play() -> None:
+        sound.append(any_sound(rng, RATE_HZ, 1_024, 2))
+        played.append(instance.run(padded(sound[-1])))
+
+    while len(sound) < 20:
+        play()
+    change(page, 1, second, delay)
+    while page.layout.playing != 1:
+        play()
+        assert len(sound) < 100_000, "the design was never loaded"
+    begin = 1_024 * len(sound) - page.readings.frames
+    play()
+    old, new = Core(first), Core(second)
+    for core in (old, new):
+        ctypes.memmove(core._controls, ctypes.addressof(page.controls), ctypes.sizeof(Controls))
+    whole = np.concatenate(sound)
+    before, after = old.process(whole), new.process(whole[begin:])
+    frames = np.arange(1, len(after) + 1) - delay
+    x = np.clip((frames / RATE_HZ - 0.2) / 0.04, 0.0, 1.0)
+    share = (x**3 * (10.0 + x * (6.0 * x - 15.0))).astype(np.float32)[:, None]
+    wanted = before.copy()
+    wanted[begin:] += share * (after - before[begin:])
+    wanted[begin + delay + HEARS + FADES :] = after[delay + HEARS + FADES :]
+    got = np.concatenate(played)[:, : old.outputs]
+    assert np.abs(got - wanted).max() <= 1e-7  # one step of float32 near 1 in the cross-fade
+    assert got[:begin].tobytes() == wanted[:begin].tobytes()
+    assert got[-1_024:].tobytes() == wanted[-1_024:].tobytes()
+
+
+def test_a_design_that_cannot_be_used_is_refused_and_the_old_one_plays_on(daemon: Daemon) -> None:
+    page, instance = daemon(UNDRIVEN, 2, 1, [0])
+    page.set_audible(True)
+    sound = padded(any_sound(np.random.default_rng(6), RATE_HZ, 1_024, 2))
+
+    def play_until(condition: Callable[[], int]) -> None:
+        for _ in range(100_000):
+            instance.run(sound)
+            if condition():
+                return
+
+    change(page, 1, any_design("protected", 44_100, 2))
+    play_until(lambda: page.layout.refused)
+    assert (page.layout.refused, page.layout.playing) == (1, 0)
+    change(page, 3, any_design("protected", RATE_HZ, 2))
+    play_until(lambda: page.layout.playing)
+    assert page.layout.playing == 3
+    assert instance.run(sound).any()
+
+
+def test_a_host_that_opens_the_plugin_again_gets_the_latest_design(daemon: Daemon) -> None:
+    page, instance = daemon(UNDRIVEN, 2, 1, [0])
+    change(page, 1, any_design("protected", RATE_HZ, 2))
+    instance.close()
+    again = Instance("haptic_cushion_daemon", RATE_HZ)
+    assert page.layout.playing == 1
+    again.close()
+
+
 @pytest.mark.sweep
 @pytest.mark.parametrize("channels", [6, 2])
 @settings(max_examples=5)
@@ -233,25 +298,23 @@ def test_the_daemons_variant_gives_the_bytes_of_ctypes_whatever_it_plays(
     core, page = Core(design), Page(folder / "page", channels, 3, [0, 0, 0])
     with pytest.MonkeyPatch.context() as patch:
         instance = daemon_instance(folder, patch, design, page, rate_hz)
-    controls = page._page.controls
+    controls = page.controls
     controls.sound_gain = rng.choice([1.0, 0.7, *ODD])
     for part in np.split(sound, [rng.integers(1, FRAMES)]):
         for one in controls.actuators[:3]:  # one value in three is unusable
             one.gain = rng.choice([*rng.uniform(-1.0, 1.0, 10), *ODD])
             one.delay_frames = rng.choice([*rng.uniform(0.0, 2_000.0, 10), *ODD])
             one.source = (0, 1, 2, 2**63)[rng.integers(4)]
-            one.audible = (1, 0, 2**63)[rng.integers(3)]
-            one.restores = rng.integers(2)
+            one.audible, one.restores = (1, 0, 2**63)[rng.integers(3)], rng.integers(2)
             for name, _ in one.safety._fields_:
                 setattr(one.safety, name, rng.choice([*rng.uniform(0.0, 60.0, 10), *ODD]))
         ctypes.memmove(core._controls, ctypes.addressof(controls), ctypes.sizeof(Controls))
-        wanted = core.process(part)
-        lengths = any_lengths(rng, len(part))
+        wanted, lengths = core.process(part), any_lengths(rng, len(part))
         got = np.concatenate([instance.run(padded(some)) for some in split(part, lengths)])
         assert got[:, : core.outputs].tobytes() == wanted.tobytes()
         assert not got[:, core.outputs :].any()
     assert page.readings.replaced == core.readings.replaced > 0
-    for one, other in zip(page._page.readings.actuators, core.readings.actuators, strict=True):
+    for one, other in zip(page.readings.actuators, core.readings.actuators, strict=True):
         one.level = other.level  # it decays by the call
         assert bytes(one) == bytes(other)
     instance.close()
@@ -259,8 +322,7 @@ def test_the_daemons_variant_gives_the_bytes_of_ctypes_whatever_it_plays(
 
 
 def test_an_actuator_follows_the_daemons_page_and_begins_silent(daemon: Daemon) -> None:
-    design = driven_design(RATE_HZ, 2, (), [None, None])
-    page, instance = daemon(design, 2, 1, [0, 0])
+    page, instance = daemon(driven_design(RATE_HZ, 2, (), [None, None]), 2, 1, [0, 0])
     sound = padded(SOUND[:48_000])
     assert not instance.run(sound).any()
     page.set_audible(True)
@@ -294,7 +356,7 @@ def test_a_coil_stays_hot_in_another_process_and_a_new_day_begins_meanwhile(daem
     assert state.coil_c == pytest.approx(90.0, abs=0.1)
     assert state.dose.time_s == pytest.approx(0.01, abs=1e-3)
     instance.close()
-    rig.keep()  # a host may open the plugin again on the same page
+    rig.keep(0.0)  # a host may open the plugin again on the same page
     again = Instance("haptic_cushion_daemon", RATE_HZ)
     again.run(padded(SOUND[:480]))
     (state,) = rig.safety_states()
@@ -317,35 +379,23 @@ def test_the_daemons_transform_mixes_as_the_python_engine_does(daemon: Daemon) -
 
 
 def tried(*cases: dict[str, str], label: str = "haptic_cushion_paper") -> list[tuple[str, str]]:
-    """What a plugin does with these variables in the environment, and says on stderr.
-
-    In another process, which it must not crash.
-    """
-    code = (
-        "from tests.plugin.hosting import Instance; import json, numpy, os, sys\n"
-        "for variables in json.loads(sys.argv[1]):\n"
+    """What a plugin does, in another process, with these variables, and says on stderr."""
+    inputs = 8 if label == "haptic_cushion_daemon" else 2
+    did, said = printed(
+        "from tests.plugin.hosting import Instance; import numpy, os\n"
+        f"for variables in {list(cases)}:\n"
         "    os.environ.update(variables)\n"
-        f"    one, sound = Instance('{label}', {RATE_HZ}), numpy.ones((9_999, 2), numpy.float32)\n"
+        f"    one = Instance('{label}', {RATE_HZ})\n"
+        f"    sound = numpy.ones((9_999, {inputs}), numpy.float32)\n"
         "    print('refused' if not one.made else 'played' if one.run(sound).any() else 'silent')\n"
         "    os.write(2, b'--\\n')\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, json.dumps(cases)],
-        cwd=Path(__file__).parents[2],
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    return list(zip(done.stdout.split(), done.stderr.split("--\n"), strict=False))
+    return list(zip(did.split(), "".join(f"{one}\n" for one in said).split("--\n"), strict=False))
 
 
 def test_a_host_may_end_what_was_not_instantiated_as_ffmpeg_does() -> None:
-    code = (
-        "from tests.plugin.hosting import descriptors; "
-        "[one.cleanup(None) for one in descriptors().values()]"
-    )
-    folder = Path(__file__).parents[2]
-    assert subprocess.run([sys.executable, "-c", code], cwd=folder).returncode == 0
+    ends = "[one.cleanup(None) for one in descriptors().values()]"
+    printed(f"from tests.plugin.hosting import descriptors; {ends}")
 
 
 def test_without_a_design_there_is_no_plugin_with_a_bad_one_silence_and_why(tmp_path: Path) -> None:
@@ -365,7 +415,9 @@ def test_without_a_design_there_is_no_plugin_with_a_bad_one_silence_and_why(tmp_
     assert all(said.count("\n") == 1 for _, said in (refused, *silent))
 
 
-def test_a_design_for_other_channels_gives_silence_and_another_page_nothing(tmp_path: Path) -> None:
+def test_other_channels_give_silence_another_page_nothing_and_an_empty_name_is_no_page(
+    tmp_path: Path,
+) -> None:
     design, page = tmp_path / "design", tmp_path / "page"
     design.write_bytes(driven_design(RATE_HZ, 8, (), [None]))
     variables = {"HAPTIC_CUSHION_DESIGN": str(design)}
@@ -377,6 +429,9 @@ def test_a_design_for_other_channels_gives_silence_and_another_page_nothing(tmp_
     ((did, said),) = tried(paths, label="haptic_cushion_daemon")
     assert did == "refused"
     assert "the daemon's page cannot be used: it is of another version" in said
+    write_design(tmp_path / "cushion", "paper", RATE_HZ)
+    unnamed = {"XDG_DATA_HOME": str(tmp_path / "cushion"), "HAPTIC_CUSHION_PAGE": ""}
+    assert tried(unnamed, label="haptic_cushion_daemon") == [("played", "")]
 
 
 def test_the_variants_are_those_that_hosts_and_the_daemon_ask_for() -> None:

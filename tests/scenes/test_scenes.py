@@ -33,8 +33,7 @@ def test_the_demo_scene_is_15_loud_seconds_of_stereo_with_a_second_of_exact_sile
     assert (scene.name, scene.samplerate, scene.duration_s) == ("demo", 48_000, 15.0)
     assert (mix.shape, mix.dtype) == ((15 * 48_000, 2), np.float32)
     assert -3.0 <= 20.0 * np.log10(np.max(np.abs(mix))) <= -1.0  # of full scale, and finite
-    sounding = np.flatnonzero(mix.any(axis=1))
-    assert 0.9 <= np.diff(sounding).max() / SAMPLERATE <= 1.5
+    assert 0.9 <= np.diff(np.flatnonzero(mix.any(axis=1))).max() / SAMPLERATE <= 1.5
 
 
 @pytest.mark.sweep
@@ -64,17 +63,13 @@ def test_each_track_starts_and_ends_at_exactly_zero_and_keeps_no_offset(scene, n
     assert np.all(np.abs(frames.mean(axis=0, dtype=np.float64)) < 1e-3)
 
 
-def test_the_engine_moves_from_the_left_to_the_right(scene):
+def test_the_engine_moves_from_left_to_right_and_footsteps_fall_left_and_right_in_turn(scene):
     engine = track_named(scene, "engine")
     left, right = rms_between(engine.frames, 1.0, 2.0, engine.samplerate)
     later_left, later_right = rms_between(engine.frames, 3.8, 4.3, engine.samplerate)
     assert left > 2.0 * right
     assert later_right > 2.0 * later_left
-
-
-def test_the_footsteps_fall_left_and_right_in_turn(scene):
-    steps = track_named(scene, "footsteps")
-    starts_s = [0.42 * step for step in range(6)]
+    steps, starts_s = track_named(scene, "footsteps"), [0.42 * step for step in range(6)]
     sides = [rms_between(steps.frames, at_s, at_s + 0.2, steps.samplerate) for at_s in starts_s]
     assert [left > right for left, right in sides] == [True, False] * 3
 
@@ -82,11 +77,10 @@ def test_the_footsteps_fall_left_and_right_in_turn(scene):
 def test_the_explosion_is_the_loudest_second_of_the_scene(scene, mix):
     seconds = [np.max(rms_between(mix, start_s, start_s + 1.0)) for start_s in range(15)]
     assert 9 <= int(np.argmax(seconds)) <= 10
-    loudest = max(scene.tracks, key=lambda track: track.frames.max())
-    assert loudest.name == "explosion"
+    assert max(scene.tracks, key=lambda track: track.frames.max()).name == "explosion"
 
 
-def test_the_events_are_the_sounding_stretches_of_all_tracks_in_order_of_time(scene):
+def test_the_events_are_the_sounding_stretches_of_tracks_that_cannot_be_changed(scene):
     events = scene.events()
     assert [label for _, _, label in events] == ["engine", *NAMES]
     first, second, *others = events
@@ -96,13 +90,10 @@ def test_the_events_are_the_sounding_stretches_of_all_tracks_in_order_of_time(sc
         assert (start_s, end_s) == (track.start_s, track.end_s)
     assert all(0.0 <= start_s < end_s <= scene.duration_s for start_s, end_s, _ in events)
     assert events == sorted(events)
+    with pytest.raises(ValueError, match="read-only"):
+        scene.tracks[0].frames[0, 0] = 1.0
 
 
 @pytest.mark.exhaustive
 def test_making_the_demo_scene_takes_less_than_a_second_and_a_half_of_a_quick_machine():
     assert cost_ffts(lambda: demo_scene()) < in_ffts(1.5)
-
-
-def test_the_tracks_of_the_demo_scene_cannot_be_changed_by_accident(scene):
-    with pytest.raises(ValueError, match="read-only"):
-        scene.tracks[0].frames[0, 0] = 1.0

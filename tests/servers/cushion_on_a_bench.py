@@ -31,8 +31,7 @@ NAMES = "acceleration,current,voltage"
 
 
 def main(haptic: str, instruments: str, rig_name: str) -> None:
-    rig = rig_by_name(rig_name)
-    random = np.random.default_rng(1)
+    rig, random = rig_by_name(rig_name), np.random.default_rng(1)
     dac, amplifier = Dac(rig.dac), Amplifier(rig.amplifier, RATE_HZ)
     source = rig.amplifier.source_impedance_ohm
     kind = EddyActuator if rig.actuator.inductance_eddy_h else LinearActuator

@@ -207,8 +207,7 @@ def envelope(samples: NDArray[np.floating]) -> NDArray[np.float64]:
     """The RMS over 10 ms, every millisecond."""
     step = RATE_HZ // 1_000
     squares = np.square(samples[: len(samples) // step * step], dtype=np.float64)
-    powers = squares.reshape(-1, step).mean(axis=1)
-    return np.sqrt(np.convolve(powers, np.full(10, 0.1), "valid"))
+    return np.sqrt(np.convolve(squares.reshape(-1, step).mean(axis=1), np.full(10, 0.1), "valid"))
 
 
 def best_lag(heard: NDArray[np.float64], wanted: NDArray[np.float64]) -> int:
@@ -235,12 +234,10 @@ def likeness(heard: NDArray[np.float64], wanted: NDArray[np.float64]) -> float:
 
     A busy machine makes the daemon provide for more lateness meanwhile, which is no other sound.
     """
-    lag = best_lag(heard, wanted)
-    aligned = np.zeros_like(wanted)
+    lag, aligned = best_lag(heard, wanted), np.zeros_like(wanted)
     for start in range(0, len(wanted), 1_000):
         part = wanted[start : start + 1_000]
-        first = max(0, lag + start - 60)
-        near = heard[first : lag + start + 60 + len(part)]
+        near = heard[max(0, lag + start - 60) : lag + start + 60 + len(part)]
         own = nearest_lag(near, part)
         found = near[own : own + len(part)]
         aligned[start : start + len(found)] = found

@@ -4,9 +4,10 @@ import os
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -74,8 +75,7 @@ def insist_on_default(server: SoundServer, connection: PulseConnection, sink: st
 
     def stays() -> bool:
         server.choose_default(sink)
-        asked_s = time.monotonic()
-        seen_s = None
+        asked_s, seen_s = time.monotonic(), None
         while time.monotonic() - asked_s < 2.0:
             if connection.snapshot().default_sink != sink:
                 seen_s = None
@@ -141,8 +141,7 @@ def steady(out: Float32Array, now_s: float) -> None:
 
 def noise(seconds: float, seed: int = 1) -> Float32Array:
     """Stereo float32 noise without a zero: every sample tells where it belongs."""
-    generator = np.random.default_rng(seed)
-    samples = generator.uniform(0.05, 0.5, (int(seconds * RATE_HZ), 2))
+    samples = np.random.default_rng(seed).uniform(0.05, 0.5, (int(seconds * RATE_HZ), 2))
     return samples.astype(np.float32)
 
 
@@ -158,12 +157,17 @@ def playing(
     samples: Float32Array,
     *,
     name: str = "Player",
+    role: str = "music",
     rate_hz: int = RATE_HZ,
+    latency_ms: int = 200,
+    properties: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[int]:
-    """Another program that plays these samples to a sink; its process id."""
+    """Another program that plays these samples to a sink; its process id. role: "" for none."""
+    told = {**({"media.role": role} if role else {}), **properties}
     command = [
-        *("pacat", "--playback", f"--client-name={name}", "--property=media.role=music"),
-        *_format(sink, 200, rate_hz),
+        *("pacat", "--playback", f"--client-name={name}"),
+        *(f"--property={key}={value}" for key, value in told.items()),
+        *_format(sink, latency_ms, rate_hz),
     ]
     with _process(server, command, stdin=subprocess.PIPE) as process:
         feeder = threading.Thread(target=_feed, args=(process, samples.tobytes()), daemon=True)
@@ -174,7 +178,13 @@ def playing(
 
 @contextmanager
 def recording(
-    server: SoundServer, source: str, path: Path, *, stays: bool = False, rate_hz: int = RATE_HZ
+    server: SoundServer,
+    source: str,
+    path: Path,
+    *,
+    stays: bool = False,
+    rate_hz: int = RATE_HZ,
+    properties: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[Callable[[], Float32Array]]:
     """Another program that records a source; a function that gives what it has so far.
 
@@ -190,6 +200,7 @@ def recording(
         options = [
             *_format(source, 20, rate_hz),
             *(["--property=node.dont-reconnect=true"] if stays else []),
+            *(f"--property={key}={value}" for key, value in properties.items()),
         ]
         for left in reversed(range(ATTEMPTS)):  # PipeWire may leave a new recorder without data
             with _process(server, ["parec", *options], stdout=file.fileno()):

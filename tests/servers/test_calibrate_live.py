@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from device.identification.mechanics import write_rig
+from device.identification.mechanics import format_rig
 from device.rig import PAPER, read_rig
 from tests.servers.conftest import started
 from tests.servers.cushion_on_a_bench import MAP, NAMES, OPTIONS
@@ -59,7 +59,7 @@ def test_a_coil_with_eddy_currents_is_identified_and_its_file_is_used_at_once(se
     eddy = replace(PAPER.actuator, **coil)
     amplifier = replace(PAPER.amplifier, gain=5.0, low_cut_hz=3.0)
     true = replace(PAPER, name="true", actuator=eddy, amplifier=amplifier, sources=())
-    write_rig(true, tmp_path / "true.toml")
+    (tmp_path / "true.toml").write_text(format_rig(true))
     path = tmp_path / "mine.toml"
     with on_a_bench(server, str(tmp_path / "true.toml")):
         done = cushion(server, *arguments(path), "--seconds", "2", "--level", "0.02", "--json")

@@ -73,8 +73,7 @@ class Watched:
 
     @property
     def resyncs(self) -> int:
-        counts = [status.resyncs for status in self.statuses]
-        return int(np.sum(np.diff(counts)[self.clear[1:]]))
+        return int(np.sum(np.diff([status.resyncs for status in self.statuses])[self.clear[1:]]))
 
     def __str__(self) -> str:
         errors_ms = self.errors_ms
@@ -114,10 +113,8 @@ def two_cards(ratio: float, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[So
 def bridged(heard: SoundServer, felt: SoundServer) -> Iterator[Engine]:
     """The engine between the first card's `desktop` and the second one's `haptic`."""
     config = PcmConfig("cushion_tap", "cushion_output")
-    clocks = Clocks(time.monotonic, time.thread_time)
-    feed = CaptureQueue()
-    client = feed.client(RATE_HZ, 2)
-    blocks = LiveSettings.block_frames
+    clocks, feed = Clocks(time.monotonic, time.thread_time), CaptureQueue()
+    client, blocks = feed.client(RATE_HZ, 2), LiveSettings.block_frames
     engine = Engine(client, RATE_HZ, clocks=clocks, now_s=time.monotonic(), block_frames=blocks)
     feed.serve(engine)
     feed.opened(RATE_HZ, 2)

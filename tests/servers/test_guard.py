@@ -10,18 +10,7 @@ import pytest
 from device.server.guard import FallbackSink, Hold, StreamGuard, StreamPlacement
 from device.server.identity import find_tagged, monitor_of
 from device.stream.pcms import FALLBACK_SINK
-from tests.servers.listening import (
-    RATE_HZ,
-    Collector,
-    more,
-    noise,
-    open_output,
-    open_tap,
-    playing,
-    recording,
-    wait_for,
-    wait_seconds,
-)
+from tests.servers import listening
 
 TRIALS = 5
 
@@ -39,26 +28,28 @@ class RecordedGuard(StreamGuard):
 
 
 def guarded(pcms, connection, holds):
-    stream = open_output(pcms)
+    stream = listening.open_output(pcms)
     return stream, RecordedGuard(connection, stream, "haptic", holds)
 
 
 def test_no_sample_is_heard_elsewhere_when_the_haptic_sink_goes(server, pcms, connection, tmp_path):
     refuge = FallbackSink(connection)
-    assert refuge.active == (server.kind == "pulse")
+    assert bool(refuge._modules) == (server.kind == "pulse")
 
     def trial(folder: Path) -> None:
         folder.mkdir()
         with (
-            recording(server, "desktop.monitor", folder / "desktop") as heard,
-            recording(server, "haptic.monitor", folder / "haptic") as felt,
+            listening.recording(server, "desktop.monitor", folder / "desktop") as heard,
+            listening.recording(server, "haptic.monitor", folder / "haptic") as felt,
         ):
             stream, guard = guarded(pcms, connection, [])
-            wait_for(lambda: np.count_nonzero(felt()[-RATE_HZ // 10 :]) > 4_000, "vibration")
+            listening.wait_for(
+                lambda: np.count_nonzero(felt()[-listening.RATE_HZ // 10 :]) > 4_000, "vibration"
+            )
             server.remove("haptic")
-            wait_for(lambda: not guard.hold.audible, "silence", 1.0)
+            listening.wait_for(lambda: not guard.hold.audible, "silence", 1.0)
             assert not stream.audible
-            more(heard, 0.5)
+            listening.more(heard, 0.5)
             assert not np.count_nonzero(heard())
             assert guard.hold.misplaced
             assert not guard.hold.audible
@@ -77,17 +68,17 @@ def test_a_stream_that_is_moved_is_silenced_and_freed_when_it_is_back(server, pc
         pytest.skip("PipeWire does not move a stream that must not reconnect")
     holds: list[Hold] = []
     stream, guard = guarded(pcms, connection, holds)
-    wait_for(lambda: guard.hold is Hold.FREE, "freedom")
+    listening.wait_for(lambda: guard.hold is Hold.FREE, "freedom")
     assert stream.audible
     snapshot = connection.snapshot()
     ours = snapshot.sink_inputs[0]
     sinks = {sink.name: sink.index for sink in snapshot.sinks}
     connection.move_sink_input(ours.index, sinks["desktop"])
-    wait_for(lambda: guard.hold is Hold.ELSEWHERE, "the guard", 1.0)
+    listening.wait_for(lambda: guard.hold is Hold.ELSEWHERE, "the guard", 1.0)
     assert not stream.audible
     assert Hold.UNSETTLED in holds  # silenced before anything was asked
     connection.move_sink_input(ours.index, sinks["haptic"])
-    wait_for(lambda: guard.hold is Hold.FREE, "freedom", 1.0)
+    listening.wait_for(lambda: guard.hold is Hold.FREE, "freedom", 1.0)
     assert stream.audible
     guard.release()
     assert not stream.audible
@@ -97,26 +88,26 @@ def test_a_stream_that_is_moved_is_silenced_and_freed_when_it_is_back(server, pc
 def test_an_undisturbed_stream_is_never_silenced(server, pcms, connection):
     holds: list[Hold] = []
     stream, guard = guarded(pcms, connection, holds)
-    wait_for(lambda: guard.hold is Hold.FREE and stream.callbacks > 20, "freedom")
+    listening.wait_for(lambda: guard.hold is Hold.FREE and stream.callbacks > 20, "freedom")
     silenced, callbacks = stream.silenced, stream.callbacks
     server.add_sink("speakers")
     server.choose_default("speakers")
     server.pactl("set-sink-volume", "desktop", "40%")
-    wait_for(lambda: stream.callbacks > callbacks + 400, "callbacks")
+    listening.wait_for(lambda: stream.callbacks > callbacks + 400, "callbacks")
     # after an underrun, of a busy machine, ALSA replaces the stream, which is then looked for
     underruns = len(holds) - holds.count(Hold.FREE)
     assert stream.silenced - silenced <= 2 + 8 * underruns, holds
     assert underruns < 10
-    wait_for(lambda: guard.hold is Hold.FREE, "freedom", 1.0)
+    listening.wait_for(lambda: guard.hold is Hold.FREE, "freedom", 1.0)
     guard.release()
     assert stream.close()
 
 
 def test_a_lost_server_means_silence(server, pcms, connection):
     stream, guard = guarded(pcms, connection, [])
-    wait_for(lambda: guard.hold is Hold.FREE, "freedom")
+    listening.wait_for(lambda: guard.hold is Hold.FREE, "freedom")
     server.kill()
-    wait_for(lambda: guard.hold is Hold.LOST, "the loss", 2.0)
+    listening.wait_for(lambda: guard.hold is Hold.LOST, "the loss", 2.0)
     assert not stream.audible
     guard.release()
     stream.close()
@@ -125,10 +116,9 @@ def test_a_lost_server_means_silence(server, pcms, connection):
 def test_a_refuge_left_over_is_taken_over(server, connection):
     if server.kind == "pipewire":
         pytest.skip("PipeWire needs no refuge")
-    first = FallbackSink(connection)
-    second = FallbackSink(connection)
-    assert first.active
-    assert second.active
+    first, second = FallbackSink(connection), FallbackSink(connection)
+    assert first._modules
+    assert second._modules
     assert server.names("sinks").count(FALLBACK_SINK) == 1
     second.close()
     assert FALLBACK_SINK not in server.names("sinks")
@@ -137,19 +127,22 @@ def test_a_refuge_left_over_is_taken_over(server, connection):
 
 def test_no_microphone_is_tapped_when_the_tapped_sink_vanishes(server, pcms, connection):
     server.add_microphone("microphone")
-    loud = noise(20.0)
+    loud = listening.noise(20.0)
     quiet = np.zeros_like(loud)
 
     def trial() -> None:
-        collector = Collector()
-        stream = open_tap(pcms, collector)
+        collector = listening.Collector()
+        stream = listening.open_tap(pcms, collector)
         guard = StreamGuard(connection, stream, "desktop.monitor")
-        with playing(server, "desktop", quiet), playing(server, "microphone-room", loud):
-            wait_for(lambda: guard.hold is Hold.FREE, "freedom")
-            wait_for(lambda: len(collector.frames()) > RATE_HZ // 4, "frames")
+        with (
+            listening.playing(server, "desktop", quiet),
+            listening.playing(server, "microphone-room", loud),
+        ):
+            listening.wait_for(lambda: guard.hold is Hold.FREE, "freedom")
+            listening.wait_for(lambda: len(collector.frames()) > listening.RATE_HZ // 4, "frames")
             server.remove("desktop")
-            wait_for(lambda: guard.hold.misplaced, "the guard", 1.0)
-            wait_seconds(0.5)
+            listening.wait_for(lambda: guard.hold.misplaced, "the guard", 1.0)
+            listening.wait_seconds(0.5)
         stream.close()
         guard.release()
         leaked = np.count_nonzero(collector.frames().any(axis=1))
@@ -162,31 +155,31 @@ def test_no_microphone_is_tapped_when_the_tapped_sink_vanishes(server, pcms, con
 
 def test_a_tap_is_led_to_another_monitor(server, pcms, connection):
     server.add_sink("speakers")
-    collector = Collector()
-    stream = open_tap(pcms, collector, "desktop.monitor", audible=False)
+    collector = listening.Collector()
+    stream = listening.open_tap(pcms, collector, "desktop.monitor", audible=False)
     guard = StreamGuard(connection, stream, "desktop.monitor")
-    wait_for(lambda: guard.hold is Hold.FREE, "freedom")
+    listening.wait_for(lambda: guard.hold is Hold.FREE, "freedom")
     snapshot = connection.snapshot()
     ours: Any = find_tagged(snapshot.source_outputs, stream.tag)
-    with playing(server, "speakers", noise(10.0)):
-        wait_for(lambda: connection.snapshot().sink_inputs, "the player")
+    with listening.playing(server, "speakers", listening.noise(10.0)):
+        listening.wait_for(lambda: connection.snapshot().sink_inputs, "the player")
         assert not collector.frames().any()
         guard.retarget("speakers.monitor")
         assert guard.hold is Hold.ELSEWHERE
         connection.move_source_output(ours.index, monitor_of(snapshot, "speakers").index)
-        wait_for(lambda: collector.frames()[-256:].any(), "the other sink's sound", 3.0)
+        listening.wait_for(lambda: collector.frames()[-256:].any(), "the other sink's sound", 3.0)
     assert stream.close()
     guard.release()
 
 
 def test_a_microphone_frees_no_guard(server, pcms, connection):
     server.add_microphone("microphone")
-    collector = Collector()
-    stream = open_tap(pcms, collector, "microphone", audible=False)
+    collector = listening.Collector()
+    stream = listening.open_tap(pcms, collector, "microphone", audible=False)
     guard = StreamGuard(connection, stream, "microphone")
-    with playing(server, "microphone-room", noise(5.0)):
-        wait_for(lambda: len(connection.snapshot().source_outputs) >= 1, "the tap")
-        wait_for(lambda: stream.callbacks > 100, "callbacks")
+    with listening.playing(server, "microphone-room", listening.noise(5.0)):
+        listening.wait_for(lambda: len(connection.snapshot().source_outputs) >= 1, "the tap")
+        listening.wait_for(lambda: stream.callbacks > 100, "callbacks")
     assert guard.hold is Hold.NO_DEVICE
     assert not collector.frames().any()
     stream.close()

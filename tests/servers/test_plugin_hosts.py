@@ -10,17 +10,7 @@ import pytest
 import soundfile
 
 from audioflinger_hook.core.compiled_core import Core
-from tests.plugin.hosting import (
-    DESIGNS,
-    PROFILES,
-    RATES_HZ,
-    any_design,
-    any_sound,
-    damaged,
-    plugin,
-    vibration,
-    write_design,
-)
+from tests.plugin import hosting
 from tests.servers.daemons import ROOT, felt_now, tone
 from tests.servers.listening import need, playing, recording, wait_for
 from tests.support.commands import call
@@ -73,19 +63,21 @@ def sound(tmp_path):
     return path
 
 
-@pytest.mark.parametrize("rate_hz", RATES_HZ)
+@pytest.mark.parametrize("rate_hz", hosting.RATES_HZ)
 def test_ffmpeg_gives_the_bytes_of_ctypes_at_every_rate_in_any_blocks(home, monkeypatch, rate_hz):
     needs("ffmpeg")
     rng, plugin_file = np.random.default_rng(rate_hz), cushion("plugin", "path")
     raw = "f32le", "-ar", str(rate_hz), "-ac"
-    profile = PROFILES[rng.integers(len(PROFILES))]
-    variants = {f"haptic_cushion_{profile}": write_design(home / ".local/share", profile, rate_hz)}
-    for kind in DESIGNS:
-        (home / kind).write_bytes(any_design(kind, rate_hz, 8))
+    profile = hosting.PROFILES[rng.integers(len(hosting.PROFILES))]
+    variants = {
+        f"haptic_cushion_{profile}": hosting.write_design(home / ".local/share", profile, rate_hz)
+    }
+    for kind in hosting.DESIGNS:
+        (home / kind).write_bytes(hosting.any_design(kind, rate_hz, 8))
         variants[f"haptic_cushion_daemon:{kind}"] = home / kind
     for variant, design in variants.items():
         core, label = Core(design.read_bytes()), variant.partition(":")[0]
-        sound = any_sound(rng, rate_hz, 2 * rate_hz, core.info.inputs)
+        sound = hosting.any_sound(rng, rate_hz, 2 * rate_hz, core.info.inputs)
         sound.tofile(home / "sound")
         wanted = core.process(sound)
         monkeypatch.setenv("HAPTIC_CUSHION_DESIGN", str(design))
@@ -101,9 +93,9 @@ def test_ffmpeg_gives_the_bytes_of_ctypes_at_every_rate_in_any_blocks(home, monk
 
 def test_with_a_damaged_design_ffmpeg_goes_on_and_says_what_is_wrong(home, sound):
     needs("ffmpeg")
-    path = write_design(home / ".local/share", "game", RATE_HZ)
+    path = hosting.write_design(home / ".local/share", "game", RATE_HZ)
     effect = f"ladspa=file={cushion('plugin', 'path')}:plugin=haptic_cushion_game"
-    for reason, design in damaged(path.read_bytes()).items():
+    for reason, design in hosting.damaged(path.read_bytes()).items():
         path.write_bytes(design)
         out = home / "vibration.wav"
         assert reason in ran("ffmpeg", "-v", "error", "-y", "-i", sound, "-af", effect, out)
@@ -138,8 +130,7 @@ def test_gstreamer_finds_the_plugin_and_gives_the_bytes_of_the_transform(home, s
         *("filesink", f"location={home / 'vibration.raw'}"),
     )
     got = np.fromfile(home / "vibration.raw", np.float32).reshape(-1, 2)[:, 0]
-    wanted = vibration(samples(sound), "music", RATE_HZ)
-    assert np.array_equal(got, wanted[: len(got)])
+    assert np.array_equal(got, hosting.vibration(samples(sound), "music", RATE_HZ)[: len(got)])
     assert len(got) > RATE_HZ
 
 
@@ -162,7 +153,7 @@ pcm.written {{ type file slave.pcm "null" file "{home / "vibration.raw"}" format
     soundfile.write(home / "short.wav", samples(sound), RATE_HZ, subtype="PCM_16")
     ran("aplay", "-q", "-D", "vibration", home / "short.wav")
     got = np.fromfile(home / "vibration.raw", np.float32).reshape(-1, 2)[:, 0]
-    wanted = vibration(samples(home / "short.wav"), "cinema", RATE_HZ)
+    wanted = hosting.vibration(samples(home / "short.wav"), "cinema", RATE_HZ)
     length = min(len(got), len(wanted))
     assert length > RATE_HZ
     assert np.abs(got[:length] - wanted[:length]).max() < 1e-6
@@ -178,14 +169,14 @@ def test_a_ladspa_host_lists_the_variants_and_gives_the_vibration(home, sound):
     soundfile.write(home / "short.wav", samples(sound), RATE_HZ, subtype="PCM_16")
     out = home / "vibration.wav"
     ran("applyplugin", home / "short.wav", out, path, "haptic_cushion_paper", "0", "0", "0")
-    wanted = vibration(samples(home / "short.wav"), "paper", RATE_HZ)
+    wanted = hosting.vibration(samples(home / "short.wav"), "paper", RATE_HZ)
     got = samples(out)[:, 0]
     assert np.abs(got[: len(wanted)] - wanted[: len(got)]).max() < 2.0 / 32_768
 
 
 def test_the_lv2_bundle_is_valid_and_gives_the_bytes_of_the_transform(home, sound):
     needs("lv2ls", "lv2info", "lv2apply", "lv2_validate")
-    variants = sorted(f"urn:haptic-cushion:{name}" for name in (*PROFILES, "mono"))
+    variants = sorted(f"urn:haptic-cushion:{name}" for name in (*hosting.PROFILES, "mono"))
     assert ran("lv2ls").split() == variants
     shown = ran("lv2info", "urn:haptic-cushion:cinema")
     assert "Has latency:       yes" in shown
@@ -193,7 +184,7 @@ def test_the_lv2_bundle_is_valid_and_gives_the_bytes_of_the_transform(home, soun
     ran("lv2_validate", *sorted((home / ".lv2/haptic-cushion.lv2").glob("*.ttl")))
     out = home / "vibration.wav"
     ran("lv2apply", "-i", sound, "-o", out, "urn:haptic-cushion:music")
-    wanted = vibration(samples(sound), "music", RATE_HZ)
+    wanted = hosting.vibration(samples(sound), "music", RATE_HZ)
     assert np.array_equal(samples(out)[: len(wanted), 0], wanted)
 
 
@@ -222,8 +213,8 @@ def test_the_drop_in_plays_to_its_device_and_remove_leaves_nothing(pipewire, mon
 def host(tmp_path_factory):
     """A program that runs the plugin between two marks, and a trap for allocations."""
     folder = tmp_path_factory.mktemp("host")
-    write_design(folder, "cinema", RATE_HZ)
-    source, include = ROOT / "tests/support", plugin().parents[1] / "plugin/native"
+    hosting.write_design(folder, "cinema", RATE_HZ)
+    source, include = ROOT / "tests/support", hosting.plugin().parents[1] / "plugin/native"
     host = "-I", include, source / "ladspa_host.c", "-o", folder / "host", "-ldl", "-rdynamic"
     trap = "-shared", "-fPIC", source / "allocation_trap.c", "-o", folder / "trap.so"
     for arguments in (host, trap):
@@ -233,7 +224,7 @@ def host(tmp_path_factory):
 
 def test_run_allocates_nothing(host):
     done = subprocess.run(
-        [host / "host", plugin()],
+        [host / "host", hosting.plugin()],
         env=os.environ | {"LD_PRELOAD": str(host / "trap.so"), "XDG_DATA_HOME": str(host)},
         capture_output=True,
         text=True,
@@ -245,7 +236,7 @@ def test_run_makes_no_system_call(host):
     traced = host / "trace"
     needs("strace")
     subprocess.run(
-        ["strace", "-f", "-o", str(traced), host / "host", plugin()],
+        ["strace", "-f", "-o", str(traced), host / "host", hosting.plugin()],
         env=os.environ | {"XDG_DATA_HOME": str(host)},
         check=True,
         capture_output=True,

@@ -8,15 +8,8 @@ from typing import Any
 import pytest
 
 from device.errors import InternalError, LostError, NotFoundError
-from device.server import defaults_check
+from device.server import defaults_check, identity
 from device.server.connection_thread import ANSWER_LIMIT_S
-from device.server.identity import (
-    default_monitor,
-    find_sink,
-    find_tagged,
-    is_own_stream,
-    monitor_of,
-)
 from device.server.pulse import PulseConnection
 from device.server.snapshot import Event, Listener, ServerSnapshot
 from device.stream.pcms import APPLICATION_NAME, ROLE
@@ -52,11 +45,11 @@ def test_a_snapshot_says_what_the_server_holds(server, connection):
     assert snapshot.version[0].isdecimal()
     assert snapshot.default_sink == "desktop"
     assert {sink.name for sink in snapshot.sinks} == {"desktop", "haptic"}
-    haptic = find_sink(snapshot, "haptic")
+    haptic = identity.find_sink(snapshot, "haptic")
     assert (haptic.samplerate, haptic.channels, haptic.monitor) == (48_000, 2, "haptic.monitor")
-    assert monitor_of(snapshot, "haptic").name == "haptic.monitor"
+    assert identity.monitor_of(snapshot, "haptic").name == "haptic.monitor"
     with pytest.raises(NotFoundError, match=r"no sink 'hapti'; did you mean 'haptic'\?"):
-        find_sink(snapshot, "hapti")
+        identity.find_sink(snapshot, "hapti")
 
 
 def test_applications_are_listed_with_process_binary_and_role(server, connection):
@@ -68,24 +61,26 @@ def test_applications_are_listed_with_process_binary_and_role(server, connection
         (stream,) = connection.latest.sink_inputs
         assert (stream.application, stream.binary, stream.role) == ("Player", "pacat", "music")
         assert (stream.process_id, stream.device_name) == (process_id, "desktop")
-        assert not is_own_stream(stream)
+        assert not identity.is_own_stream(stream)
     wait_for(lambda: not connection.latest.sink_inputs, "the end of the stream")
 
 
 def test_our_own_streams_are_known_and_tap_no_microphone(server, pcms, connection):
     server.add_microphone("microphone")
     wait_for(lambda: connection.snapshot().default_source == "microphone", "the microphone")
-    capture = open_tap(pcms, Collector(), default_monitor(connection.latest).name)
+    capture = open_tap(pcms, Collector(), identity.default_monitor(connection.latest).name)
     playback = open_output(pcms)
     wait_for(lambda: capture.callbacks > 5, "callbacks")
     snapshot = connection.snapshot()
-    plays: Any = find_tagged(snapshot.sink_inputs, playback.tag)
-    records: Any = find_tagged(snapshot.source_outputs, capture.tag)
-    assert is_own_stream(plays)
-    assert [output for output in snapshot.source_outputs if is_own_stream(output)] == [records]
+    plays: Any = identity.find_tagged(snapshot.sink_inputs, playback.tag)
+    records: Any = identity.find_tagged(snapshot.source_outputs, capture.tag)
+    assert identity.is_own_stream(plays)
+    assert [output for output in snapshot.source_outputs if identity.is_own_stream(output)] == [
+        records
+    ]
     assert (plays.application, plays.role, plays.device_name) == (APPLICATION_NAME, ROLE, "haptic")
     assert records.device_name == "desktop.monitor"
-    assert find_tagged(snapshot.sink_inputs, capture.tag) is None
+    assert identity.find_tagged(snapshot.sink_inputs, capture.tag) is None
     assert capture.close()
     assert playback.close()
     wait_for(lambda: not connection.latest.sink_inputs, "the end of the stream")
@@ -108,9 +103,9 @@ def test_another_default_sink_is_told_within_half_a_second(server, connection, n
         notes.defaults.clear()
         anew.clear()
     assert took_s < 0.5
-    assert default_monitor(connection.latest).name == "speakers.monitor"
+    assert identity.default_monitor(connection.latest).name == "speakers.monitor"
     with pytest.raises(NotFoundError, match="feed back"):
-        default_monitor(connection.latest, haptic_sink="speakers")
+        identity.default_monitor(connection.latest, haptic_sink="speakers")
     # there and back again within the time it has to settle: nothing to tell
     server.choose_default("desktop")
     server.choose_default("speakers")
@@ -150,8 +145,8 @@ def test_what_another_connection_says_of_the_default_devices_is_so(server, monke
 
 def test_modules_are_loaded_and_what_is_gone_is_an_error(server, pcms, connection):
     stream = open_output(pcms)
-    ours: Any = find_tagged(connection.snapshot().sink_inputs, stream.tag)
-    sink = find_sink(connection.latest, "haptic")
+    ours: Any = identity.find_tagged(connection.snapshot().sink_inputs, stream.tag)
+    sink = identity.find_sink(connection.latest, "haptic")
     assert stream.close()
     wait_for(lambda: not connection.snapshot().sink_inputs, "the end of the stream")
     with pytest.raises(NotFoundError, match="is gone"):
@@ -174,7 +169,7 @@ def test_a_killed_server_is_told_and_another_connection_is_made(server, connecti
         PulseConnection()
     server.start()
     again = PulseConnection()
-    assert find_sink(again.latest, "haptic").name == "haptic"
+    assert identity.find_sink(again.latest, "haptic").name == "haptic"
     again.close()
     with pytest.raises(LostError, match="closed"):
         again.snapshot()

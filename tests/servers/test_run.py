@@ -23,24 +23,8 @@ from audioflinger_hook.service.state import Cause, DaemonState
 from audioflinger_hook.service.status import Status
 from audioflinger_hook.sources import mixdown
 from device.units import Float32Array
+from tests.servers import daemons
 from tests.servers.bare_streams import bare_streams
-from tests.servers.daemons import (
-    CUSHION,
-    FELT,
-    Daemon,
-    best_lag,
-    cpu_percent,
-    cushion,
-    envelope,
-    environment,
-    felt_now,
-    likeness,
-    modules_of,
-    program,
-    running,
-    tone,
-    vibrating,
-)
 from tests.servers.listening import RATE_HZ, more, playing, recording, wait_for, wait_seconds
 from tests.servers.test_run_reload import connections, reload
 from tests.servers.witness import Verdict, tears, witness_tone
@@ -82,12 +66,12 @@ def take(server: SoundServer, sound: Float32Array, folder: Path) -> tuple[Float3
     with (
         witness_tone(folder) as other,
         closing(PauseWitness()) as witness,
-        running(server) as daemon,
+        daemons.running(server) as daemon,
         recording(server, "haptic.monitor", folder / "felt") as felt,
         playing(server, "desktop", sound),
     ):
         begin = len(other())
-        wait_for(lambda: felt_now(felt), "vibration")
+        wait_for(lambda: daemons.felt_now(felt), "vibration")
         enough = len(felt()) + int((SCENE_S + 0.5) * RATE_HZ)
         wait_for(lambda: len(felt()) > enough, "the whole of it", 2.0 * SCENE_S)
         status = str(daemon.status())
@@ -103,8 +87,8 @@ def test_what_plays_is_felt_as_a_file_of_it_is_rendered(server, scene, tmp_path)
     shown, verdict = False, Verdict("felt as rendered", needed=1)
     while not shown:
         heard, status, away_s = take(server, sound, tmp_path)
-        alike = likeness(envelope(heard), envelope(vibration))
-        lag = best_lag(envelope(heard), envelope(vibration))
+        alike = daemons.likeness(daemons.envelope(heard), daemons.envelope(vibration))
+        lag = daemons.best_lag(daemons.envelope(heard), daemons.envelope(vibration))
         got = heard[lag * RATE_HZ // 1_000 :][: len(sound)].astype(np.float64)
         level_db = float(10.0 * np.log10(np.mean(got**2) / np.mean(vibration**2)))
         found = f"correlation {alike:.4f}, level {level_db:+.2f} dB, {status}"
@@ -114,7 +98,10 @@ def test_what_plays_is_felt_as_a_file_of_it_is_rendered(server, scene, tmp_path)
 
 
 def test_it_ends_after_the_seconds_asked_for_and_tells_what_it_does_until_then(server):
-    with playing(server, "desktop", tone(60.0, 30.0)), running(server, "--seconds", "6") as daemon:
+    with (
+        playing(server, "desktop", daemons.tone(60.0, 30.0)),
+        daemons.running(server, "--seconds", "6") as daemon,
+    ):
         status = daemon.wait(lambda s: s.levels.vibration.peak_dbfs > -60.0, "vibration")
         assert status.state is DaemonState.RUNNING
         assert (status.tap.name, status.device.name) == ("desktop.monitor", "haptic")
@@ -122,15 +109,15 @@ def test_it_ends_after_the_seconds_asked_for_and_tells_what_it_does_until_then(s
         assert 5.0 < status.latency.total_ms < 250.0
         assert -20.0 < status.levels.sound.rms_dbfs < -6.0
         assert status.levels.vibration.peak_dbfs <= 0.0
-        assert cushion(server, "status", "--json").stdout.startswith("{")
+        assert daemons.cushion(server, "status", "--json").stdout.startswith("{")
         assert daemon.wait_exit() == 0
 
 
 def test_there_is_one_daemon_and_when_it_is_ended_nothing_of_it_is_left(server):
-    before = modules_of(server)
-    with running(server) as daemon:
+    before = daemons.modules_of(server)
+    with daemons.running(server) as daemon:
         assert "cushion.stream" in server.pactl("list", "sink-inputs")
-        second = cushion(server, "run", "--device", "haptic", "--seconds", "1")
+        second = daemons.cushion(server, "run", "--device", "haptic", "--seconds", "1")
         assert second.returncode == 2
         assert str(daemon.process.pid) in second.stderr
         assert len(second.stderr.strip().splitlines()) == 1
@@ -138,10 +125,10 @@ def test_there_is_one_daemon_and_when_it_is_ended_nothing_of_it_is_left(server):
     assert code == 130
     assert "Traceback" not in daemon.stderr
     assert [path.name for path in (server.folder / "cushion").glob("*.sock*")] == []
-    assert modules_of(server) == before
+    assert daemons.modules_of(server) == before
     assert server.pactl("list", "short", "sink-inputs") == ""
     assert server.pactl("list", "short", "source-outputs") == ""
-    assert cushion(server, "status").returncode == 3
+    assert daemons.cushion(server, "status").returncode == 3
 
 
 BACK_S = {"python": 2.0, "native": 1.0}
@@ -155,13 +142,13 @@ def test_the_device_vanishes_and_nobody_else_plays_its_vibration(server, engine,
     server.add_sink("speakers")
     server.choose_default("speakers")
     with (
-        playing(server, "desktop", tone(60.0, 90.0)),
+        playing(server, "desktop", daemons.tone(60.0, 90.0)),
         recording(server, "speakers.monitor", tmp_path / "elsewhere") as heard,
-        running(server, "--tap", "sink:desktop", engine=engine) as daemon,
+        daemons.running(server, "--tap", "sink:desktop", engine=engine) as daemon,
     ):
         for _ in range(3):
             with recording(server, "haptic.monitor", tmp_path / "felt") as felt:
-                wait_for(partial(felt_now, felt), "vibration")
+                wait_for(partial(daemons.felt_now, felt), "vibration")
             server.remove("haptic")
             assert "haptic" in daemon.wait_state(DaemonState.WAITING_FOR_DEVICE).reason
             more(heard, 0.5)
@@ -169,7 +156,7 @@ def test_the_device_vanishes_and_nobody_else_plays_its_vibration(server, engine,
             back_s = time.monotonic()
             with recording(server, "haptic.monitor", tmp_path / "again") as again:
                 recorder_s = time.monotonic() - back_s
-                wait_for(partial(felt_now, again), "it again")
+                wait_for(partial(daemons.felt_now, again), "it again")
             least_s = max(BACK_S[engine], RECORDERS * recorder_s)
             assert time.monotonic() - back_s < least_s
         status = daemon.wait_state(DaemonState.RUNNING)
@@ -178,21 +165,21 @@ def test_the_device_vanishes_and_nobody_else_plays_its_vibration(server, engine,
 
 
 def test_the_server_is_killed_and_comes_back(server, engine, tmp_path):
-    with running(server, engine=engine) as daemon:
+    with daemons.running(server, engine=engine) as daemon:
         for _ in range(2):
-            with playing(server, "desktop", tone(60.0, 30.0)):
+            with playing(server, "desktop", daemons.tone(60.0, 30.0)):
                 daemon.wait(lambda s: s.levels.vibration.peak_dbfs > -60.0, "vibration")
                 server.kill()
             daemon.wait_state(DaemonState.WAITING_FOR_SERVER)
             server.start()
             with (
-                playing(server, "desktop", tone(60.0, 30.0)),
+                playing(server, "desktop", daemons.tone(60.0, 30.0)),
                 recording(server, "desktop.monitor", tmp_path / "sound") as sound,
                 recording(server, "haptic.monitor", tmp_path / "felt") as felt,
             ):
                 # the server itself takes its time to link streams
-                wait_for(partial(felt_now, sound), "sound")
-                wait_for(partial(felt_now, felt), "vibration", BACK_S[engine])
+                wait_for(partial(daemons.felt_now, sound), "sound")
+                wait_for(partial(daemons.felt_now, felt), "vibration", BACK_S[engine])
                 status = daemon.wait_state(DaemonState.RUNNING)
     assert status.engine == engine
     assert status.recoveries[Cause.SERVER_LOST] >= 2  # a busy server may be lost as it starts
@@ -200,49 +187,51 @@ def test_the_server_is_killed_and_comes_back(server, engine, tmp_path):
 
 def test_without_a_server_it_says_so_or_waits_for_one(server):
     server.kill()
-    alone = cushion(server, "run", "--device", "haptic")
+    alone = daemons.cushion(server, "run", "--device", "haptic")
     assert alone.returncode == 4
     assert len(alone.stderr.strip().splitlines()) == 1
     assert alone.stderr.startswith("cushion: error: no sound server answers")
-    with running(server, "--wait", ready=False) as daemon:
+    with daemons.running(server, "--wait", ready=False) as daemon:
         daemon.wait_state(DaemonState.WAITING_FOR_SERVER)
         server.start()
         daemon.wait_ready()
 
 
-def least_cpu_percent(daemon: Daemon, limit_percent: float) -> float:
+def least_cpu_percent(daemon: daemons.Daemon, limit_percent: float) -> float:
     least = 100.0
     for _ in range(WINDOWS):
-        least = min(least, cpu_percent(daemon.process.pid)[0])
+        least = min(least, daemons.cpu_percent(daemon.process.pid)[0])
         if least <= limit_percent:
             break
     return least
 
 
-def beside_bare_streams(daemon: Daemon, server: SoundServer) -> tuple[float, float]:
+def beside_bare_streams(daemon: daemons.Daemon, server: SoundServer) -> tuple[float, float]:
     """What daemon and bare streams use, in the window where their ratio is least."""
     frames = LiveSettings().block_frames
     with bare_streams(server.environment, "desktop.monitor", "haptic", block_frames=frames) as bare:
         pids = (daemon.process.pid, bare.process.pid)
-        windows = [cpu_percent(*pids) for _ in range(WINDOWS)]
+        windows = [daemons.cpu_percent(*pids) for _ in range(WINDOWS)]
     daemon_percent, bare_percent = min(windows, key=lambda window: window[0] / window[1])
     return daemon_percent, bare_percent
 
 
 def test_silence_costs_little_and_the_sound_after_it_is_felt(server, scene, tmp_path):
     sound, _ = scene
-    with running(server) as daemon, recording(server, "haptic.monitor", tmp_path / "felt") as felt:
+    with (
+        daemons.running(server) as daemon,
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
         daemon.wait_state(DaemonState.IDLE)
-        idle_percent = least_cpu_percent(daemon, IDLE_PERCENT)
-        began = len(felt())
+        idle_percent, began = least_cpu_percent(daemon, IDLE_PERCENT), len(felt())
         with playing(server, "desktop", np.tile(sound, (8, 1))):
-            wait_for(lambda: felt_now(felt), "vibration", 2.0)
+            wait_for(lambda: daemons.felt_now(felt), "vibration", 2.0)
             playing_percent = least_cpu_percent(daemon, PLAYING_PERCENT)
             beside_percent = bare_percent = None
             if playing_percent > PLAYING_PERCENT:
                 beside_percent, bare_percent = beside_bare_streams(daemon, server)
             daemon.wait_state(DaemonState.RUNNING)
-        assert np.abs(felt()[began:]).max() > FELT
+        assert np.abs(felt()[began:]).max() > daemons.FELT
     assert idle_percent <= IDLE_PERCENT
     if beside_percent is not None and bare_percent is not None:
         assert beside_percent <= TIMES_BARE * bare_percent
@@ -256,17 +245,17 @@ def test_the_tapped_sink_is_removed_and_added_again(server, engine, tmp_path):
     server.add_sink("speakers")
     with (
         recording(server, "haptic.monitor", tmp_path / "felt") as felt,
-        running(server, "--tap", "sink:speakers", engine=engine) as daemon,
+        daemons.running(server, "--tap", "sink:speakers", engine=engine) as daemon,
     ):
-        with playing(server, "speakers", tone(60.0, 60.0)):
-            wait_for(lambda: felt_now(felt), "vibration")
+        with playing(server, "speakers", daemons.tone(60.0, 60.0)):
+            wait_for(lambda: daemons.felt_now(felt), "vibration")
             server.remove("speakers")
             status = daemon.wait_state(DaemonState.WAITING_FOR_SOUND_SOURCE)
         assert "no sink 'speakers'" in status.reason
-        wait_for(lambda: not felt_now(felt), "silence")
+        wait_for(lambda: not daemons.felt_now(felt), "silence")
         server.add_sink("speakers")
-        with playing(server, "speakers", tone(60.0, 60.0)):
-            wait_for(lambda: felt_now(felt), "vibration again", BACK_S[engine])
+        with playing(server, "speakers", daemons.tone(60.0, 60.0)):
+            wait_for(lambda: daemons.felt_now(felt), "vibration again", BACK_S[engine])
             daemon.wait_state(DaemonState.RUNNING)
 
 
@@ -275,16 +264,16 @@ def test_the_default_sink_is_removed_and_what_takes_its_place_is_felt(server, tm
     server.choose_default("speakers")
     with (
         recording(server, "haptic.monitor", tmp_path / "felt") as felt,
-        running(server) as daemon,
+        daemons.running(server) as daemon,
         # PulseAudio moves the player with its sink's end, PipeWire plays to the new default
-        playing(server, "desktop", tone(60.0, 60.0)),
+        playing(server, "desktop", daemons.tone(60.0, 60.0)),
     ):
         daemon.wait(lambda s: s.tap.name == "speakers.monitor", "the tap")
-        assert not felt_now(felt)
+        assert not daemons.felt_now(felt)
         gone_s = time.monotonic()
         server.remove("speakers")
         server.choose_default("desktop")  # a server may choose the device, which is never tapped
-        wait_for(lambda: felt_now(felt), "vibration", 10.0)
+        wait_for(lambda: daemons.felt_now(felt), "vibration", 10.0)
         took_s = time.monotonic() - gone_s
         daemon.wait(lambda s: s.tap.name == "desktop.monitor", "the new tap")
     assert took_s < BACK_S["python"]
@@ -294,27 +283,29 @@ def test_the_default_sink_is_removed_and_what_takes_its_place_is_felt(server, tm
 def test_a_suspended_sink_stops_the_vibration_and_it_goes_on_afterwards(server, sink, tmp_path):
     if server.kind == "pipewire":
         pytest.skip("PipeWire resumes a sink that is played to")
-    with vibrating(server, tmp_path, tone(60.0, 60.0)) as (daemon, felt):
+    with daemons.vibrating(server, tmp_path, daemons.tone(60.0, 60.0)) as (daemon, felt):
         server.pactl("suspend-sink", sink, "1")
         frames = len(felt())
         wait_seconds(3.0)
         if sink == "desktop":
-            assert not felt_now(felt)
+            assert not daemons.felt_now(felt)
         else:
             assert len(felt()) - frames < 24_000  # its monitor stood, too
         resumed = len(felt())
         server.pactl("suspend-sink", sink, "0")
         limit_s = BACK_S["python"]
-        wait_for(lambda: np.abs(felt()[resumed:]).max(initial=0.0) > FELT, "vibration", limit_s)
+        wait_for(
+            lambda: np.abs(felt()[resumed:]).max(initial=0.0) > daemons.FELT, "vibration", limit_s
+        )
         daemon.wait_state(DaemonState.RUNNING)
-        wait_for(lambda: felt_now(felt), "vibration that goes on")
+        wait_for(lambda: daemons.felt_now(felt), "vibration that goes on")
         loudest = float(np.abs(felt()[resumed:]).max())
     assert loudest <= 1.0
 
 
 def test_a_test_tone_whose_device_vanishes_ends_and_says_so(server):
-    command = [*CUSHION, "test-tone", "--device", "haptic", "--seconds", "20"]
-    with program(environment(server), *command, stderr=subprocess.PIPE) as process:
+    command = [*daemons.CUSHION, "test-tone", "--device", "haptic", "--seconds", "20"]
+    with daemons.program(daemons.environment(server), *command, stderr=subprocess.PIPE) as process:
         assert "60 Hz" in process.stdout.readline()
         server.remove("haptic")
         assert process.wait(10.0) == 4
@@ -331,8 +322,8 @@ def test_a_killed_daemon_leaves_heat_and_dose_and_a_damaged_record_means_hot_coi
     def knows_its_coil(status: Status) -> bool:
         return bool(status.exposure and status.protection and status.protection.coil_c)
 
-    with playing(server, "desktop", tone(60.0, 120.0)):
-        with running(server, *protected, engine=engine) as daemon:
+    with playing(server, "desktop", daemons.tone(60.0, 120.0)):
+        with daemons.running(server, *protected, engine=engine) as daemon:
             seen: Any = daemon.wait(lambda s: s.exposure and s.exposure.a8_m_s2, "a dose")
             assert engine == "native" or seen.protection.coil_c == pytest.approx(20.0, abs=1.0)
             assert not seen.warnings
@@ -343,13 +334,13 @@ def test_a_killed_daemon_leaves_heat_and_dose_and_a_damaged_record_means_hot_coi
         known = json.loads(record.read_text())
         known["actuators"]["haptic 0.0"] = left
         record.write_text(json.dumps(known))
-        with running(server, *protected, engine=engine) as daemon:
+        with daemons.running(server, *protected, engine=engine) as daemon:
             seen = daemon.wait(knows_its_coil, "protection")
             assert 80.0 < seen.protection.coil_c < 120.0
             assert seen.exposure.a8_m_s2 >= (left["dose"]["squares"] / 28_800.0) ** 0.5
             assert not any("coils count" in warning for warning in seen.warnings)
         record.write_text("{")
-        with running(server, *protected, engine=engine) as daemon:
+        with daemons.running(server, *protected, engine=engine) as daemon:
             seen = daemon.wait(knows_its_coil, "protection")
             assert seen.protection.coil_c > 90.0
             assert sum("damaged" in warning for warning in seen.warnings) == 1
@@ -361,15 +352,15 @@ TONE_HZ = 110.0
 def test_two_actuators_are_felt_where_they_are_wired_and_as_strong_as_asked(server, tmp_path):
     path = tmp_path / "c.toml"
     path.write_text(TWO_SHAKERS.replace("[1]", "[2]"))
-    done = cushion(server, "run", "--device", "haptic", "--config", str(path))
+    done = daemons.cushion(server, "run", "--device", "haptic", "--config", str(path))
     assert done.returncode == 3
     (line,) = done.stderr.splitlines()
     assert "actuator 2 wants channel 2, but the sink 'haptic' has no such channel" in line
 
     path.write_text(TWO_SHAKERS + 'polarity = "inverted"\ngain_db = -6.0206\n')
     with (
-        playing(server, "desktop", tone(TONE_HZ, 60.0)) as player,
-        running(server, "--config", str(path)) as daemon,
+        playing(server, "desktop", daemons.tone(TONE_HZ, 60.0)) as player,
+        daemons.running(server, "--config", str(path)) as daemon,
         recording(server, "haptic.monitor", tmp_path / "felt") as felt,
     ):
 
@@ -381,7 +372,7 @@ def test_two_actuators_are_felt_where_they_are_wired_and_as_strong_as_asked(serv
             return [float(peak) for peak in np.abs(last).max(axis=0)] if len(last) else [0.0, 0.0]
 
         # The same sound left and right: one is half of the other, upside down, sample by sample.
-        wait_for(lambda: min(peaks()) > FELT, "vibration on both", 15.0)
+        wait_for(lambda: min(peaks()) > daemons.FELT, "vibration on both", 15.0)
         last = now()
         np.testing.assert_allclose(last[:, 1], -0.5 * last[:, 0], atol=1e-6)  # float32 of below 1
         status = daemon.wait(lambda s: s.actuators[1].level.peak_dbfs > -60.0, "levels")
@@ -395,6 +386,10 @@ def test_two_actuators_are_felt_where_they_are_wired_and_as_strong_as_asked(serv
 
         # Left alone, which is wired to the second channel by now.
         os.kill(player, signal.SIGTERM)
-        left_only = tone(TONE_HZ, 60.0) * np.array([1.0, 0.0], np.float32)
+        left_only = daemons.tone(TONE_HZ, 60.0) * np.array([1.0, 0.0], np.float32)
         with playing(server, "desktop", left_only):
-            wait_for(lambda: peaks()[1] > FELT > 1e-3 * FELT > peaks()[0], "the left one", 15.0)
+            wait_for(
+                lambda: peaks()[1] > daemons.FELT > 1e-3 * daemons.FELT > peaks()[0],
+                "the left one",
+                15.0,
+            )

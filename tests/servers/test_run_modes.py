@@ -16,6 +16,7 @@ from device.stream.pcms import FALLBACK_SINK, TAG
 from device.units import Float32Array
 from tests.effect.test_registry import entry
 from tests.pipeline.test_framework_effects import OTHER, OTHERS, OURS, effects_xml
+from tests.servers import listening
 from tests.servers.daemons import (
     ROOT,
     cushion,
@@ -25,15 +26,6 @@ from tests.servers.daemons import (
     running,
     tone,
     vibrating,
-)
-from tests.servers.listening import (
-    RATE_HZ,
-    level_db,
-    more,
-    playing,
-    recording,
-    wait_for,
-    wait_seconds,
 )
 from tools.sound_server import ServerError, SoundServer
 
@@ -45,8 +37,8 @@ NEAR_HZ = 6.0
 @contextmanager
 def feeling(server: SoundServer, path: Path) -> Iterator[Callable[[float], bool]]:
     """Whether the last fifth of a second is vibration of this pitch."""
-    with recording(server, "haptic.monitor", path) as felt:
-        yield lambda hz: abs(pitch_hz(felt()[-RATE_HZ // 5 :]) - hz) < NEAR_HZ
+    with listening.recording(server, "haptic.monitor", path) as felt:
+        yield lambda hz: abs(pitch_hz(felt()[-listening.RATE_HZ // 5 :]) - hz) < NEAR_HZ
 
 
 def config(path: Path, text: str) -> str:
@@ -56,12 +48,12 @@ def config(path: Path, text: str) -> str:
 
 def test_of_two_applications_the_one_that_was_asked_for_is_felt(server, engine, tmp_path):
     with (
-        playing(server, "desktop", tone(GAME_HZ, 60.0), name="Game"),
-        playing(server, "desktop", tone(MUSIC_HZ, 60.0), name="Music"),
+        listening.playing(server, "desktop", tone(GAME_HZ, 60.0), name="Game"),
+        listening.playing(server, "desktop", tone(MUSIC_HZ, 60.0), name="Music"),
         running(server, "--tap", "app:Music", engine=engine, ready=False) as daemon,
         feeling(server, tmp_path / "felt") as feels,
     ):
-        wait_for(lambda: feels(MUSIC_FELT_HZ), "the music alone", 20.0)
+        listening.wait_for(lambda: feels(MUSIC_FELT_HZ), "the music alone", 20.0)
         status = daemon.wait_state(DaemonState.RUNNING)
         assert (status.tap.name, status.tap.address) == ("Music", "app:Music")
 
@@ -69,15 +61,15 @@ def test_of_two_applications_the_one_that_was_asked_for_is_felt(server, engine, 
 def test_what_is_excluded_is_not_felt_and_who_comes_later_is(server, tmp_path):
     rules = config(tmp_path / "c.toml", '[applications]\nexclude = ["application:Music"]\n')
     with (
-        playing(server, "desktop", tone(MUSIC_HZ, 60.0), name="Music"),
+        listening.playing(server, "desktop", tone(MUSIC_HZ, 60.0), name="Music"),
         running(server, "--config", rules, ready=False) as daemon,
-        recording(server, "haptic.monitor", tmp_path / "before") as felt,
+        listening.recording(server, "haptic.monitor", tmp_path / "before") as felt,
         feeling(server, tmp_path / "felt") as feels,
     ):
         daemon.wait_state(DaemonState.IDLE, 30.0)
         assert float(np.abs(felt()).max()) == 0.0
-        with playing(server, "desktop", tone(GAME_HZ, 30.0), name="Game"):
-            wait_for(lambda: feels(GAME_FELT_HZ), "the game", 10.0)
+        with listening.playing(server, "desktop", tone(GAME_HZ, 30.0), name="Game"):
+            listening.wait_for(lambda: feels(GAME_FELT_HZ), "the game", 10.0)
         daemon.wait_state(DaemonState.IDLE, 30.0)
 
 
@@ -86,17 +78,17 @@ def default_sink(server: SoundServer) -> str:
 
 
 def test_in_between_the_sound_is_delayed_felt_and_as_before_at_the_end(server, tmp_path):
-    with playing(server, "desktop", tone(MUSIC_HZ, 60.0)):
+    with listening.playing(server, "desktop", tone(MUSIC_HZ, 60.0)):
         with (
             running(server, "--drop-in", "--offset-ms=-80") as daemon,
             feeling(server, tmp_path / "felt") as feels,
-            recording(server, "desktop.monitor", tmp_path / "heard") as heard,
+            listening.recording(server, "desktop.monitor", tmp_path / "heard") as heard,
         ):
-            wait_for(lambda: default_sink(server) == "cushion", "the virtual sink", 10.0)
-            wait_for(lambda: feels(MUSIC_FELT_HZ), "the music", 20.0)
+            listening.wait_for(lambda: default_sink(server) == "cushion", "the virtual sink", 10.0)
+            listening.wait_for(lambda: feels(MUSIC_FELT_HZ), "the music", 20.0)
             status = daemon.wait(lambda s: s.tap.name == "cushion.monitor", "the virtual tap")
             assert status.latency.offset_ms == -80.0
-            wait_for(lambda: felt_now(heard), "the sound")
+            listening.wait_for(lambda: felt_now(heard), "the sound")
             assert daemon.end() == 130
         assert default_sink(server) == "desktop"
         assert "cushion" not in server.pactl("list", "short", "sinks")
@@ -119,18 +111,18 @@ def test_the_tap_follows_the_default_sink(server, engine, tmp_path):
     with (
         running(server, engine=engine) as daemon,
         # PulseAudio moves the first player to the new default sink, where it is hardly heard
-        playing(server, "desktop", tone(MUSIC_HZ, 60.0, 0.05)),
-        playing(server, "speakers", tone(GAME_HZ, 60.0, 0.5)),
-        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+        listening.playing(server, "desktop", tone(MUSIC_HZ, 60.0, 0.05)),
+        listening.playing(server, "speakers", tone(GAME_HZ, 60.0, 0.5)),
+        listening.recording(server, "haptic.monitor", tmp_path / "felt") as felt,
     ):
 
         def feels(hz: float) -> bool:
-            return abs(pitch_hz(felt()[-RATE_HZ // 10 :]) - hz) < NEAR_HZ
+            return abs(pitch_hz(felt()[-listening.RATE_HZ // 10 :]) - hz) < NEAR_HZ
 
-        wait_for(lambda: feels(MUSIC_FELT_HZ), "the first sink's tone")
+        listening.wait_for(lambda: feels(MUSIC_FELT_HZ), "the first sink's tone")
         server.pactl("set-default-sink", "speakers")
         limit_s = {"python": 0.5, "native": 1.0}[engine]
-        wait_for(lambda: feels(GAME_FELT_HZ), "the second sink's tone", limit_s)
+        listening.wait_for(lambda: feels(GAME_FELT_HZ), "the second sink's tone", limit_s)
         status = daemon.wait(lambda s: s.tap.name == "speakers.monitor", "the new tap")
     assert status.recoveries[Cause.DEFAULT_CHANGED] == 1
 
@@ -138,15 +130,16 @@ def test_the_tap_follows_the_default_sink(server, engine, tmp_path):
 def test_the_device_as_default_sink_feeds_nothing_back(server, engine, tmp_path):
     with vibrating(server, tmp_path, tone(60.0, 60.0), engine=engine) as (daemon, felt):
         server.pactl("set-default-sink", "haptic")
-        status = daemon.wait_state(DaemonState.WAITING_FOR_SOUND_SOURCE)
-        assert "feed back" in status.reason
-        wait_for(lambda: TAG not in server.pactl("list", "source-outputs"), "an end of the tap")
-        more(felt, 1.0)
+        assert "feed back" in daemon.wait_state(DaemonState.WAITING_FOR_SOUND_SOURCE).reason
+        listening.wait_for(
+            lambda: TAG not in server.pactl("list", "source-outputs"), "an end of the tap"
+        )
+        listening.more(felt, 1.0)
         # PulseAudio has moved the player here: it is heard, and nothing besides
-        assert float(np.abs(felt()[-RATE_HZ // 2 :]).max()) < 0.31
+        assert float(np.abs(felt()[-listening.RATE_HZ // 2 :]).max()) < 0.31
         server.pactl("set-default-sink", "desktop")
         daemon.wait_state(DaemonState.RUNNING)
-        wait_for(lambda: felt_now(felt), "vibration again", 3.0)
+        listening.wait_for(lambda: felt_now(felt), "vibration again", 3.0)
 
 
 @pytest.mark.parametrize(
@@ -158,7 +151,7 @@ def test_the_device_as_default_sink_feeds_nothing_back(server, engine, tmp_path)
 )
 def test_a_device_led_on_to_the_tapped_sink_feeds_nothing_back(server, module, arguments, device):
     loaded = server.pactl("load-module", module, *arguments)
-    wait_for(lambda: device in server.names("sinks"), "the device")
+    listening.wait_for(lambda: device in server.names("sinks"), "the device")
     with running(server, "--wait", device=device, ready=False) as daemon:
         status = daemon.wait_state(DaemonState.WAITING_FOR_SOUND_SOURCE)
         assert f"forwards what '{device}' plays to 'desktop'" in status.reason
@@ -172,10 +165,10 @@ def test_a_microphone_is_never_felt(server, engine, tmp_path):
     server.add_microphone("microphone")
     loud = tone(GAME_HZ, 60.0, 0.9)
     with (
-        playing(server, "microphone-room", loud),
+        listening.playing(server, "microphone-room", loud),
         vibrating(server, tmp_path, tone(MUSIC_HZ, 60.0), engine=engine) as (daemon, felt),
     ):
-        last = more(felt, 2.0)[-RATE_HZ:]
+        last = listening.more(felt, 2.0)[-listening.RATE_HZ :]
         status: Any = daemon.status()
     assert status.tap.name == "desktop.monitor"
     assert abs(pitch_hz(last) - MUSIC_FELT_HZ) < NEAR_HZ
@@ -183,7 +176,7 @@ def test_a_microphone_is_never_felt(server, engine, tmp_path):
 
 def test_it_goes_on_while_fifty_streams_come_and_go(server, engine, tmp_path):
     quiet = ["pacat", "--playback", "--device=desktop", "--raw", "--latency-msec=200"]
-    quiet += ["--format=float32le", f"--rate={RATE_HZ}", "--channels=2", "/dev/zero"]
+    quiet += ["--format=float32le", f"--rate={listening.RATE_HZ}", "--channels=2", "/dev/zero"]
     with vibrating(server, tmp_path, tone(60.0, 60.0), engine=engine) as (daemon, felt):
         flood: list[subprocess.Popen[bytes]] = []
 
@@ -197,27 +190,27 @@ def test_it_goes_on_while_fifty_streams_come_and_go(server, engine, tmp_path):
             return count_streams(server) >= STREAMS
 
         try:
-            wait_for(rising, "the flood", 20.0)
-            wait_for(lambda: felt_now(felt), "vibration in the flood", 5.0)
+            listening.wait_for(rising, "the flood", 20.0)
+            listening.wait_for(lambda: felt_now(felt), "vibration in the flood", 5.0)
             daemon.wait_state(DaemonState.RUNNING, 5.0)
         finally:
             for process in flood:
                 process.kill()
             for process in flood:
                 process.wait()
-        wait_for(lambda: 0 <= count_streams(server) < 5, "the ebb", 10.0)
-        wait_for(lambda: felt_now(felt), "vibration after the flood", 5.0)
+        listening.wait_for(lambda: 0 <= count_streams(server) < 5, "the ebb", 10.0)
+        listening.wait_for(lambda: felt_now(felt), "vibration after the flood", 5.0)
         status = daemon.wait_state(DaemonState.RUNNING)
     for cause in (Cause.DEVICE_MOVED, Cause.SERVER_LOST, Cause.ENGINE_LOST):
         assert not status.recoveries[cause]
 
 
 def test_after_a_pause_of_the_process_the_delay_is_what_it_was(server):
-    with playing(server, "desktop", tone(60.0, 60.0)), running(server) as daemon:
+    with listening.playing(server, "desktop", tone(60.0, 60.0)), running(server) as daemon:
         status = daemon.wait(lambda s: s.delay_line.state == "locked", "a lock", 20.0)
         before, recovered_before = status.delay_line, sum(status.recoveries.values())
         daemon.process.send_signal(signal.SIGSTOP)
-        wait_seconds(2.0)
+        listening.wait_seconds(2.0)
         daemon.process.send_signal(signal.SIGCONT)
         daemon.wait(
             lambda s: (
@@ -263,13 +256,13 @@ def test_an_effect_that_fails_or_waits_is_named_on_the_terminal_and_vibration_go
     config.write_text('effects_file = "audio_effects.xml"\n')
     path = {"PYTHONPATH": os.pathsep.join((str(tmp_path), str(ROOT)))}
     with (
-        playing(server, "desktop", tone(300.0, 60.0)),
+        listening.playing(server, "desktop", tone(300.0, 60.0)),
         running(server, "--config", str(config), ready=False, variables=path) as daemon,
-        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+        listening.recording(server, "haptic.monitor", tmp_path / "felt") as felt,
     ):
         named = f"effect bypassed: session 0, Other: {reason}"
-        wait_for(lambda: named in daemon.stderr, named, 15.0)
-        wait_for(lambda: felt_now(felt), "vibration", 15.0)
+        listening.wait_for(lambda: named in daemon.stderr, named, 15.0)
+        listening.wait_for(lambda: felt_now(felt), "vibration", 15.0)
         daemon.wait_ready()
 
 
@@ -289,10 +282,10 @@ PART_FRAMES = 2_400
 
 
 def felt_db(felt: Callable[[], Float32Array], after_s: float) -> float:
-    first = len(felt()) + int(after_s * RATE_HZ)
-    wait_for(lambda: len(felt()) > first + WINDOW_S * RATE_HZ, "more of it")
-    heard = felt()[first : first + int(WINDOW_S * RATE_HZ)]
-    return float(np.median([level_db(part) for part in parts_of(heard)]))
+    first = len(felt()) + int(after_s * listening.RATE_HZ)
+    listening.wait_for(lambda: len(felt()) > first + WINDOW_S * listening.RATE_HZ, "more of it")
+    heard = felt()[first : first + int(WINDOW_S * listening.RATE_HZ)]
+    return float(np.median([listening.level_db(part) for part in parts_of(heard)]))
 
 
 def parts_of(frames: Float32Array) -> list[Float32Array]:
@@ -307,8 +300,8 @@ def player_of(server: SoundServer) -> str:
 def test_a_volume_of_stream_or_sink_is_not_felt(server, tmp_path, engine):
     with (
         running(server, "--profile", "cinema", engine=engine) as daemon,
-        playing(server, "desktop", tone(110.0, 90.0, AS_THE_PROGRAMME)),
-        recording(server, "haptic.monitor", tmp_path / "felt", stays=True) as felt,
+        listening.playing(server, "desktop", tone(110.0, 90.0, AS_THE_PROGRAMME)),
+        listening.recording(server, "haptic.monitor", tmp_path / "felt", stays=True) as felt,
     ):
         before_db = felt_db(felt, 3.0)
         assert before_db > -40.0
@@ -322,14 +315,13 @@ def test_a_volume_of_stream_or_sink_is_not_felt(server, tmp_path, engine):
         both: Any = daemon.status()
         server.pactl("set-sink-volume", "desktop", "100%")
         server.pactl("set-sink-input-volume", player, "100%")
-        again_db = felt_db(felt, SETTLES_S)
-        begun = len(felt())
+        again_db, begun = felt_db(felt, SETTLES_S), len(felt())
         for percent in (95, 90, 85, 80, 85, 90, 95, 100):  # as keys of a keyboard make it
             server.pactl("set-sink-volume", "desktop", f"{percent}%")
             felt_db(felt, 0.0)
         stepped = felt()[begun:]
     found = [before_db, stream_db, both_db, again_db]
-    steps = [level_db(part) for part in parts_of(stepped)]
+    steps = [listening.level_db(part) for part in parts_of(stepped)]
     print(f"{server.kind}, {engine}: {np.round(found, 2)} dB, steps {np.ptp(steps):.1f} dB")
     assert status.volume_db == pytest.approx(-20.0, abs=0.2)
     assert both.volume_db == pytest.approx(-32.0, abs=0.2)
@@ -343,8 +335,8 @@ def test_a_volume_of_stream_or_sink_is_not_felt(server, tmp_path, engine):
 def test_the_paper_s_profile_feels_the_volume_as_it_is_heard(server, tmp_path):
     with (
         running(server, "--profile", "paper") as daemon,
-        playing(server, "desktop", tone(110.0, 90.0, 0.2)),
-        recording(server, "haptic.monitor", tmp_path / "felt", stays=True) as felt,
+        listening.playing(server, "desktop", tone(110.0, 90.0, 0.2)),
+        listening.recording(server, "haptic.monitor", tmp_path / "felt", stays=True) as felt,
     ):
         before_db = felt_db(felt, 2.0)
         server.pactl("set-sink-input-volume", player_of(server), "0.1")

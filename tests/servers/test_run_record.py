@@ -17,17 +17,8 @@ from audioflinger_hook.service.state import Cause, DaemonState
 from device.stream.pcms import TAG
 from device.units import Float32Array
 from tests.daemon.test_run_recording import overlap, recorded
+from tests.servers import daemons
 from tests.servers.conftest import started
-from tests.servers.daemons import (
-    CUSHION,
-    Daemon,
-    cushion,
-    environment,
-    felt_now,
-    program,
-    running,
-    tone,
-)
 from tests.servers.listening import (
     ATTEMPTS,
     RATE_HZ,
@@ -50,7 +41,7 @@ def server(request, monkeypatch):
 
 def replayed(server: SoundServer, folder: Path, out: Path) -> tuple[int, str]:
     """Replay; every frame of the recorded effect has to come again. How many, and warnings."""
-    done = cushion(server, "replay", str(folder), str(out), "--json")
+    done = daemons.cushion(server, "replay", str(folder), str(out), "--json")
     assert done.returncode == 0, done.stderr
     return overlap(folder, out, done.stdout), done.stderr
 
@@ -60,7 +51,7 @@ def breaks(folder: Path, stream: str) -> int:
 
 
 @contextmanager
-def polled(daemon: Daemon) -> Iterator[None]:
+def polled(daemon: daemons.Daemon) -> Iterator[None]:
     """The daemon's status is asked for, again and again."""
     ending = threading.Event()
 
@@ -83,15 +74,15 @@ def test_a_replay_gives_what_was_felt_through_a_switch_a_pause_and_idling(server
     server.add_sink("speakers")
     options = ["--record", str(record), "--config", str(config)]
     with (
-        running(server, *options) as daemon,
+        daemons.running(server, *options) as daemon,
         recording(server, "haptic.monitor", tmp_path / "felt") as felt,
         polled(daemon),
     ):
         with (
             playing(server, "desktop", noise(60.0)),
-            playing(server, "speakers", tone(110.0, 60.0)),
+            playing(server, "speakers", daemons.tone(110.0, 60.0)),
         ):
-            wait_for(lambda: felt_now(felt), "vibration")
+            wait_for(lambda: daemons.felt_now(felt), "vibration")
             wait_seconds(3.0)
             server.pactl("set-default-sink", "speakers")
             daemon.wait(lambda s: s.tap.name == "speakers.monitor", "the new tap")
@@ -103,15 +94,14 @@ def test_a_replay_gives_what_was_felt_through_a_switch_a_pause_and_idling(server
         daemon.wait_state(DaemonState.IDLE, 30.0)
         wait_seconds(1.0)
         with playing(server, "speakers", noise(60.0, 2)):
-            wait_for(lambda: felt_now(felt), "vibration again")
+            wait_for(lambda: daemons.felt_now(felt), "vibration again")
             wait_seconds(3.0)
         status = daemon.wait_state(DaemonState.RUNNING)
         assert status.effects_bypassed == ()
         assert daemon.end() == 130
     frames, warnings = replayed(server, record, tmp_path / "out.wav")
     again = vibration(tmp_path / "out.wav")
-    assert warnings == ""
-    assert again.shape[1] == 2
+    assert (warnings, again.shape[1]) == ("", 2)
     assert frames > 10 * RATE_HZ
     assert np.abs(again).max() > 0.01
     assert status.recoveries[Cause.DEFAULT_CHANGED] == 1
@@ -125,7 +115,7 @@ def test_a_replay_gives_what_was_felt_through_a_switch_a_pause_and_idling(server
 def test_a_replay_gives_what_was_felt_through_other_formats_and_a_new_server(server, tmp_path):
     record = tmp_path / "rec"
     server.add_sink("cd", rate_hz=44_100, channel_map=MONO)
-    with running(server, "--record", str(record)) as daemon:
+    with daemons.running(server, "--record", str(record)) as daemon:
 
         def delivers(channels: int) -> bool:
             return [b.channels for b in Capture(record).buffers("tap")][-1:] == [channels]
@@ -157,9 +147,9 @@ def test_a_replay_gives_what_was_felt_of_single_applications(server, tmp_path):
     record = tmp_path / "rec"
     with (
         playing(server, "desktop", noise(60.0)),
-        running(server, "--tap", "app:Player", "--record", str(record)) as daemon,
+        daemons.running(server, "--tap", "app:Player", "--record", str(record)) as daemon,
     ):
-        with playing(server, "desktop", tone(110.0, 60.0)):
+        with playing(server, "desktop", daemons.tone(110.0, 60.0)):
             wait_for(lambda: len(recorded(record, "effect")) > 3 * RATE_HZ, "three seconds", 30.0)
         wait_seconds(1.0)
         assert daemon.end() == 130
@@ -192,10 +182,10 @@ def lost(sent: Float32Array, heard: Float32Array) -> int:
 def test_the_device_stream_is_what_reached_the_device(server, tmp_path):
     record = tmp_path / "rec"
     with recording(server, "haptic.monitor", tmp_path / "felt") as felt:
-        with running(server, "--record", str(record)) as daemon:
+        with daemons.running(server, "--record", str(record)) as daemon:
             with playing(server, "desktop", noise(4.0)):
-                wait_for(lambda: felt_now(felt), "vibration")
-                wait_for(lambda: not felt_now(felt, 0.5), "its end", 20.0)
+                wait_for(lambda: daemons.felt_now(felt), "vibration")
+                wait_for(lambda: not daemons.felt_now(felt, 0.5), "its end", 20.0)
             assert daemon.end() == 130
         heard = sounding(felt())
     sent = sounding(recorded(record, "device"))
@@ -206,7 +196,7 @@ def test_the_device_stream_is_what_reached_the_device(server, tmp_path):
 
 
 def test_a_folder_for_a_recording_is_not_made_where_the_device_is_missing(server, tmp_path):
-    done = cushion(server, "run", "--device", "nobody", "--record", str(tmp_path / "new"))
+    done = daemons.cushion(server, "run", "--device", "nobody", "--record", str(tmp_path / "new"))
     assert done.returncode == 3
     assert not (tmp_path / "new").exists()
 
@@ -214,8 +204,8 @@ def test_a_folder_for_a_recording_is_not_made_where_the_device_is_missing(server
 @contextmanager
 def capturing(server, folder, *arguments):
     """`cushion capture`, once it listens."""
-    command = (*CUSHION, "capture", str(folder), *arguments)
-    with program(environment(server), *command, stderr=subprocess.PIPE) as process:
+    command = (*daemons.CUSHION, "capture", str(folder), *arguments)
+    with daemons.program(daemons.environment(server), *command, stderr=subprocess.PIPE) as process:
         wait_for(lambda: (folder / "tap-0001.wav").exists(), "buffers")
         yield process
 
@@ -246,11 +236,11 @@ def test_a_capture_follows_the_default_sink_and_never_a_microphone(server, tmp_p
     folder = tmp_path / "cap"
     server.add_microphone("microphone")
     server.add_sink("speakers")
-    loud = tone(400.0, 60.0, 0.9)
+    loud = daemons.tone(400.0, 60.0, 0.9)
     with (
         capturing(server, folder) as process,
-        playing(server, "desktop", tone(110.0, 60.0, 0.1)),
-        playing(server, "speakers", tone(110.0, 60.0, 0.5)),
+        playing(server, "desktop", daemons.tone(110.0, 60.0, 0.1)),
+        playing(server, "speakers", daemons.tone(110.0, 60.0, 0.5)),
         playing(server, "microphone-room", loud),
     ):
 
@@ -270,13 +260,13 @@ def test_a_capture_follows_the_default_sink_and_never_a_microphone(server, tmp_p
     capture = Capture(folder)
     assert sum(1 for _ in capture.buffers("tap")) > 10
     assert capture.warnings == []  # it was finished
-    done = cushion(server, "replay", str(folder), str(tmp_path / "out.wav"), "--json")
+    done = daemons.cushion(server, "replay", str(folder), str(tmp_path / "out.wav"), "--json")
     assert done.returncode == 0
     assert json.loads(done.stdout)["discontinuities"] >= 1
 
 
 def test_a_tap_that_is_not_there_and_one_that_is_lost_for_good_end_a_capture(server, tmp_path):
-    done = cushion(server, "capture", str(tmp_path / "none"), "--tap", "sink:nobody")
+    done = daemons.cushion(server, "capture", str(tmp_path / "none"), "--tap", "sink:nobody")
     assert done.returncode == 3
     assert len(done.stderr.splitlines()) == 1
     with capturing(server, tmp_path / "cap") as process:
@@ -288,7 +278,7 @@ def test_a_tap_that_is_not_there_and_one_that_is_lost_for_good_end_a_capture(ser
     capture = Capture(tmp_path / "cap")
     assert sum(1 for _ in capture.buffers("tap")) > 0
     assert capture.warnings == []
-    done = cushion(server, "capture", str(tmp_path / "none"))
+    done = daemons.cushion(server, "capture", str(tmp_path / "none"))
     assert done.returncode == 4
     assert not (tmp_path / "none").exists()
 
@@ -310,7 +300,7 @@ def test_a_file_is_felt_on_the_device_and_ends_the_run(server, tmp_path):
     record = tmp_path / "rec"
     with recording(server, "haptic.monitor", tmp_path / "felt") as felt:
         options = ["--tap", "scene:demo", "--record", str(record), "--seconds", "8"]
-        done = cushion(server, "run", "--device", "haptic", *options)
+        done = daemons.cushion(server, "run", "--device", "haptic", *options)
         assert (done.returncode, done.stdout) == (0, "")
         assert float(np.abs(felt()).max()) > 0.02
     assert replayed(server, record, tmp_path / "out.wav")[0] > 4 * RATE_HZ
@@ -319,7 +309,7 @@ def test_a_file_is_felt_on_the_device_and_ends_the_run(server, tmp_path):
 def test_what_plays_goes_into_a_file_even_while_the_server_is_away(server, tmp_path):
     out, record = tmp_path / "out.wav", tmp_path / "rec"
     options = ["--record", str(record)]
-    with running(server, *options, device=f"wav:{out}") as daemon:
+    with daemons.running(server, *options, device=f"wav:{out}") as daemon:
         with playing(server, "desktop", noise(30.0)):
             wait_for(lambda: np.abs(recorded(record, "device")).max() > 0.01, "vibration", 20.0)
         server.kill()

@@ -16,19 +16,7 @@ from device.stream import portaudio
 from device.stream.pcms import PcmConfig, ServerDevice
 from device.stream.streams import LOST_AFTER_S, CaptureStream, PlaybackStream
 from device.units import Float32Array
-from tests.servers.listening import (
-    ATTEMPTS,
-    LEVEL,
-    RATE_HZ,
-    Collector,
-    count_stuck,
-    open_output,
-    open_tap,
-    recording,
-    sounding,
-    steady,
-    wait_for,
-)
+from tests.servers import listening
 from tests.servers.witness import Verdict
 from tests.support.commands import open_files
 from tests.support.memory import resident_bytes
@@ -49,7 +37,7 @@ POSITIONS = {
 
 
 def output(pcms: PcmConfig, sink: str = "haptic") -> PlaybackStream:
-    stream = open_output(pcms, sink)
+    stream = listening.open_output(pcms, sink)
     stream.audible = True
     return stream
 
@@ -58,37 +46,41 @@ def output(pcms: PcmConfig, sink: str = "haptic") -> PlaybackStream:
 def test_surround_arrives_in_the_order_of_the_mixers_layout(server, pcms, channels):
     channel_map = ",".join(POSITIONS[name] for name in layout(channels))
     server.add_sink("surround", channel_map=channel_map)
-    collector = Collector()
+    collector = listening.Collector()
     pcms.pcms["cushion_tap"].target = ServerDevice("surround.monitor")
     order = order_from_alsa(channels)
-    stream = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, channels, collector, order=order)
+    stream = CaptureStream(
+        pcms.pcms["cushion_tap"], listening.RATE_HZ, channels, collector, order=order
+    )
     levels = np.arange(1, channels + 1, dtype=np.float32) / 16
     command = [
-        *("pacat", "--playback", "--raw", "--format=float32le", f"--rate={RATE_HZ}"),
+        *("pacat", "--playback", "--raw", "--format=float32le", f"--rate={listening.RATE_HZ}"),
         *(f"--channels={channels}", "--device=surround", f"--channel-map={channel_map}"),
     ]
     with subprocess.Popen(command, stdin=subprocess.PIPE, env=server.environment) as player:
-        player.communicate(np.tile(levels, (RATE_HZ, 1)).tobytes())
-    wait_for(lambda: len(sounding(collector.frames())) > RATE_HZ // 4, "sound")
+        player.communicate(np.tile(levels, (listening.RATE_HZ, 1)).tobytes())
+    listening.wait_for(
+        lambda: len(listening.sounding(collector.frames())) > listening.RATE_HZ // 4, "sound"
+    )
     stream.close()
-    heard = sounding(collector.frames())
+    heard = listening.sounding(collector.frames())
     np.testing.assert_allclose(np.median(heard, axis=0), levels, atol=1e-3)
 
 
 def test_a_stream_is_silent_until_it_may_sound_and_reaches_its_sink_alone(server, pcms, tmp_path):
     with (
-        recording(server, "haptic.monitor", tmp_path / "haptic") as felt,
-        recording(server, "desktop.monitor", tmp_path / "desktop") as heard,
+        listening.recording(server, "haptic.monitor", tmp_path / "haptic") as felt,
+        listening.recording(server, "desktop.monitor", tmp_path / "desktop") as heard,
     ):
-        stream = open_output(pcms)
-        wait_for(lambda: stream.callbacks > 100, "callbacks")
+        stream = listening.open_output(pcms)
+        listening.wait_for(lambda: stream.callbacks > 100, "callbacks")
         assert not felt().any()
         assert stream.silenced == pytest.approx(stream.callbacks, abs=1)
         stream.audible = True
-        wait_for(lambda: np.count_nonzero(felt()) > RATE_HZ, "vibration")
+        listening.wait_for(lambda: np.count_nonzero(felt()) > listening.RATE_HZ, "vibration")
         assert stream.close()
-        assert set(np.unique(felt())) <= {np.float32(0.0), LEVEL}
-        assert len(heard()) > RATE_HZ // 4
+        assert set(np.unique(felt())) <= {np.float32(0.0), listening.LEVEL}
+        assert len(heard()) > listening.RATE_HZ // 4
         assert not heard().any()
 
 
@@ -108,11 +100,11 @@ def test_what_goes_wrong_in_a_callback_is_counted_and_becomes_silence(server, pc
     stream_blocks = {"n": 0, "dirty": 0}
     pcms.pcms["cushion_output"].target = ServerDevice("haptic")
     pcms.pcms["cushion_tap"].target = ServerDevice("desktop.monitor")
-    with recording(server, "haptic.monitor", tmp_path / "haptic") as felt:
-        stream = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, fill)
-        capture = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, on_frames)
+    with listening.recording(server, "haptic.monitor", tmp_path / "haptic") as felt:
+        stream = PlaybackStream(pcms.pcms["cushion_output"], listening.RATE_HZ, 2, fill)
+        capture = CaptureStream(pcms.pcms["cushion_tap"], listening.RATE_HZ, 2, on_frames)
         stream.audible = True
-        wait_for(lambda: stream.callbacks > 200 and capture.callbacks > 100, "callbacks")
+        listening.wait_for(lambda: stream.callbacks > 200 and capture.callbacks > 100, "callbacks")
         assert stream.is_active()
         assert capture.is_active()
         assert stream.close()
@@ -130,16 +122,18 @@ def test_a_server_that_hangs_costs_neither_the_caller_nor_the_process(server, pc
     monkeypatch.setattr(portaudio, "OPEN_LIMIT_S", 0.3)
     monkeypatch.setattr(portaudio, "CLOSE_LIMIT_S", 0.3)
     stream = output(pcms)
-    wait_for(lambda: stream.callbacks > 20, "callbacks")
+    listening.wait_for(lambda: stream.callbacks > 20, "callbacks")
     server.pause()
-    wait_for(stream.is_lost, "loss", LOST_AFTER_S + 1.0)
+    listening.wait_for(stream.is_lost, "loss", LOST_AFTER_S + 1.0)
     stream.close()
     with pytest.raises(LostError, match=r"not answered|not come back|does not answer"):
         output(pcms)
     server.resume()
-    wait_for(lambda: len(portaudio.open_tags) == count_stuck(), "end of the streams")
+    listening.wait_for(
+        lambda: len(portaudio.open_tags) == listening.count_stuck(), "end of the streams"
+    )
     stream = output(pcms)
-    wait_for(lambda: stream.callbacks > 20, "callbacks")
+    listening.wait_for(lambda: stream.callbacks > 20, "callbacks")
     assert stream.close()
 
 
@@ -147,14 +141,14 @@ def test_a_sink_that_has_played_2_s_ahead_is_waited_for(server, pcms):
     if server.kind == "pipewire":
         pytest.skip("PipeWire plays nothing ahead")
     server.pactl("load-module", "module-null-sink", "sink_name=ahead", "rate=48000", "channels=2")
-    wait_for(lambda: "ahead" in server.names("sinks"), "the sink")
+    listening.wait_for(lambda: "ahead" in server.names("sinks"), "the sink")
     # on a busy machine the first callbacks may come so late that the stream counts as begun
     verdict, shown = Verdict("a stream that waits", needed=1), False
     while not shown:
         lost, waited_s = [], []
         for open_stream in (
             lambda: output(pcms, "ahead"),
-            lambda: open_tap(pcms, Collector(), "ahead.monitor"),
+            lambda: listening.open_tap(pcms, listening.Collector(), "ahead.monitor"),
         ):
             stream: PlaybackStream | CaptureStream = open_stream()
             longest_s = 0.0
@@ -171,16 +165,16 @@ def test_a_sink_that_has_played_2_s_ahead_is_waited_for(server, pcms):
 def test_to_no_such_sink_nothing_plays_elsewhere(server, pcms, tmp_path):
     if server.kind == "pipewire" and wireplumber_generation() == 5:
         pytest.skip("WirePlumber 0.5 may play it elsewhere; then StreamGuard silences it")
-    with recording(server, "desktop.monitor", tmp_path / "desktop") as heard:
+    with listening.recording(server, "desktop.monitor", tmp_path / "desktop") as heard:
         try:
             stream = output(pcms, "nowhere")
         except LostError:
             pass  # PulseAudio at once, PipeWire as often as not
         else:
-            wait_for(stream.is_lost, "end of the stream", 2.0)
+            listening.wait_for(stream.is_lost, "end of the stream", 2.0)
             assert stream.close()
         before = len(heard())
-        wait_for(lambda: len(heard()) > before + RATE_HZ // 4, "sound")
+        listening.wait_for(lambda: len(heard()) > before + listening.RATE_HZ // 4, "sound")
         assert not heard().any()
 
 
@@ -188,19 +182,19 @@ def test_a_sink_is_played_to_and_tapped_whatever_it_is_called(server, pcms):
     known = set(server.names("sinks"))
     name = r'sink_name="it\'s \"größer\" } \\ than $HOME"'  # PulseAudio makes another one of it
     server.pactl("load-module", "module-null-sink", name, "norewinds=1", "format=float32le")
-    (sink,) = wait_for(lambda: set(server.names("sinks")) - known, "the sink")
-    collector = Collector()
-    heard = open_tap(pcms, collector, f"{sink}.monitor")
+    (sink,) = listening.wait_for(lambda: set(server.names("sinks")) - known, "the sink")
+    collector = listening.Collector()
+    heard = listening.open_tap(pcms, collector, f"{sink}.monitor")
     played = output(pcms, sink)
-    wait_for(lambda: collector.frames().any(), "sound")
+    listening.wait_for(lambda: collector.frames().any(), "sound")
     assert played.close()
     assert heard.close()
 
 
 def test_opening_and_closing_leaves_nothing_behind(server, pcms):
     def cycle() -> None:
-        capture, playback = open_tap(pcms, Collector()), output(pcms)
-        wait_for(lambda: capture.callbacks > 2 and playback.callbacks > 2, "callbacks")
+        capture, playback = listening.open_tap(pcms, listening.Collector()), output(pcms)
+        listening.wait_for(lambda: capture.callbacks > 2 and playback.callbacks > 2, "callbacks")
         assert capture.close()
         assert playback.close()
 
@@ -211,17 +205,17 @@ def test_opening_and_closing_leaves_nothing_behind(server, pcms):
 
     def grown() -> int | None:
         """Memory after 20 cycles; None if one of them had to leave a stream behind."""
-        before, before_bytes, abandoned = held(), resident_bytes(), count_stuck()
+        before, before_bytes, abandoned = held(), resident_bytes(), listening.count_stuck()
         for _ in range(20):
             cycle()
-        if count_stuck() != abandoned:
+        if listening.count_stuck() != abandoned:
             return None
-        wait_for(lambda: held() == before, f"return to {before}", 3.0)
+        listening.wait_for(lambda: held() == before, f"return to {before}", 3.0)
         return resident_bytes() - before_bytes
 
     for _ in range(5):
         cycle()
-    results = (grown() for _ in range(ATTEMPTS))
+    results = (grown() for _ in range(listening.ATTEMPTS))
     assert next(result for result in results if result is not None) < 2_000_000
 
 
@@ -251,15 +245,14 @@ def test_python_meets_a_stream_s_thread_once_and_forgets_it_at_the_end(server, p
         before = thread_states()
         pcms.pcms["cushion_tap"].target = ServerDevice("desktop.monitor")
         met.clear()
-        stream = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, note)
-        wait_for(lambda: stream.callbacks > 100, "callbacks")
-        assert len(met) == 1
-        assert thread_states() == before + 1
+        stream = CaptureStream(pcms.pcms["cushion_tap"], listening.RATE_HZ, 2, note)
+        listening.wait_for(lambda: stream.callbacks > 100, "callbacks")
+        assert (len(met), thread_states()) == (1, before + 1)
         assert stream.close()
         return thread_states() == before
 
     # A callback that a busy machine delays beyond the time allowed leaves one behind.
-    assert any(all_forgotten() for _ in range(ATTEMPTS))
+    assert any(all_forgotten() for _ in range(listening.ATTEMPTS))
 
 
 def test_libraries_print_nothing_and_we_do(server):
@@ -286,6 +279,6 @@ pcms.close()
 
 def test_what_cannot_be_opened_is_refused(server, pcms):
     with pytest.raises(UsageError, match="samplerate=12"):
-        CaptureStream(pcms.pcms["cushion_tap"], 12, 2, Collector())
+        CaptureStream(pcms.pcms["cushion_tap"], 12, 2, listening.Collector())
     with pytest.raises(UsageError, match="channels=0"):
-        PlaybackStream(pcms.pcms["cushion_tap"], RATE_HZ, 0, steady)
+        PlaybackStream(pcms.pcms["cushion_tap"], listening.RATE_HZ, 0, listening.steady)

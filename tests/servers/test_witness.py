@@ -4,17 +4,9 @@ import numpy as np
 import pytest
 
 from device.units import Float32Array
+from tests.servers import witness
 from tests.servers.daemons import tone
 from tests.servers.listening import RATE_HZ
-from tests.servers.witness import (
-    CLEAN,
-    CLICK_DB,
-    EXCUSED,
-    Verdict,
-    above_250_hz,
-    silent_blocks,
-    tears,
-)
 from tools.live_latency.bursts import BurstDelays, burst_sound, onsets
 
 
@@ -25,26 +17,26 @@ def without_a_cycle(at: int, frames: int) -> Float32Array:
 
 def test_a_whole_tone_is_not_torn_and_nothing_of_it_is_silent():
     whole = tone(110.0, 4.0)
-    assert tears(whole) == 0
-    assert above_250_hz(whole).max() < CLICK_DB - 10.0
-    assert not silent_blocks(whole).any()
+    assert witness.tears(whole) == 0
+    assert witness.above_250_hz(whole).max() < witness.CLICK_DB - 10.0
+    assert not witness.silent_blocks(whole).any()
 
 
 @pytest.mark.parametrize("frames", [128, 256, 1_024])
 def test_a_lost_cycle_tears_a_tone(frames):
-    assert tears(without_a_cycle(2 * RATE_HZ, frames)) > 0
+    assert witness.tears(without_a_cycle(2 * RATE_HZ, frames)) > 0
 
 
 def test_a_tear_counts_only_while_something_is_felt():
     torn, felt = without_a_cycle(2 * RATE_HZ, 256), tone(110.0, 4.0)
-    assert tears(torn, felt) > 0
+    assert witness.tears(torn, felt) > 0
     felt[2 * RATE_HZ : 2 * RATE_HZ + RATE_HZ // 10] = 0.0
-    assert tears(torn, felt) == 0
-    assert tears(without_a_cycle(RATE_HZ, 256), felt) > 0
+    assert witness.tears(torn, felt) == 0
+    assert witness.tears(without_a_cycle(RATE_HZ, 256), felt) > 0
 
 
 def test_a_second_failed_attempt_fails_unless_the_witness_was_torn_in_it():
-    verdict = Verdict("step")
+    verdict = witness.Verdict("step")
     assert not verdict.add(1, good=True, witness_torn=False)
     assert not verdict.add(2, good=False, witness_torn=True)
     assert not verdict.add(3, good=False, witness_torn=False)
@@ -53,13 +45,13 @@ def test_a_second_failed_attempt_fails_unless_the_witness_was_torn_in_it():
 
 
 def test_it_is_shown_after_some_clean_attempts_and_skipped_after_many_excused_ones():
-    verdict = Verdict("step")
-    assert [verdict.add(n, good=True, witness_torn=n > 1) for n in range(CLEAN)][-1]
-    verdict = Verdict("step")
-    for attempt in range(EXCUSED - 1):
+    verdict = witness.Verdict("step")
+    assert [verdict.add(n, good=True, witness_torn=n > 1) for n in range(witness.CLEAN)][-1]
+    verdict = witness.Verdict("step")
+    for attempt in range(witness.EXCUSED - 1):
         assert not verdict.add(attempt, good=False, witness_torn=True)
     with pytest.raises(pytest.skip.Exception, match="too busy"):
-        verdict.add(EXCUSED, good=False, witness_torn=True)
+        verdict.add(witness.EXCUSED, good=False, witness_torn=True)
 
 
 def test_a_known_delay_is_found_to_the_sample():

@@ -111,8 +111,7 @@ def measure(heard: Sequence[Heard], before: Callable[[], None], act: Callable[[]
     _wait_for_frames(heard[0], len(heard[0]()) + 2 * RATE_HZ)
     starts = [max(0, len(one()) - EARLIER) for one in heard]
     act()
-    done = [len(one()) + AFTER for one in heard]
-    for one, start, end in zip(heard, starts, done, strict=True):
+    for one, start, end in zip(heard, starts, [len(one()) + AFTER for one in heard], strict=True):
         _wait_for_frames(one, max(start + EARLIER + 2 * RATE_HZ, end))
     felt, sound, witness = (one() for one in heard)
     step = felt[starts[0] :]

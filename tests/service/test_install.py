@@ -18,7 +18,7 @@ from audioflinger_hook.service.install import (
     UDEV_RULE,
     install,
     own_command,
-    remove,
+    restore,
     systemd_version,
     unit_text,
 )
@@ -78,18 +78,13 @@ def test_systemd_understands_every_name_and_argument(tmp_path):
     assert "not executable" in complaints(text.replace("; a b", "; a c"), tmp_path)
 
 
-def test_the_command_is_quoted_so_that_nothing_in_it_is_expanded():
+def test_the_command_is_quoted_and_a_newer_systemd_sends_the_signal_to_reload_itself():
     text = unit_text(("/opt/a b/100%/$x/cushion", "run", '$HOME %h "q" b\\s'), Path("/s %h"))
     quoted = '"/opt/a b/100%%/$x/cushion" "run" "$$HOME %%h \\"q\\" b\\\\s"'
-    assert line_of(text, "ExecStart") == quoted
-    assert line_of(text, "ReadWritePaths") == '"-/s %%h"'
+    assert (line_of(text, "ExecStart"), line_of(text, "ReadWritePaths")) == (quoted, '"-/s %%h"')
     assert line_of(text, "ExecReload") == "/bin/kill -HUP $MAINPID"
-
-
-def test_a_newer_systemd_sends_the_signal_itself_and_waits_for_the_end_of_the_reload():
     old, new = (unit_text(("/cushion", "run"), STATE, systemd) for systemd in (252, 253))
-    assert old == unit_text(("/cushion", "run"), STATE)
-    assert line_of(old, "Type") == "notify"
+    assert (old, line_of(old, "Type")) == (unit_text(("/cushion", "run"), STATE), "notify")
     assert "ReloadSignal" not in old
     assert (line_of(new, "Type"), line_of(new, "ReloadSignal")) == ("notify-reload", "SIGHUP")
     assert "ExecReload" not in new
@@ -148,10 +143,10 @@ def test_the_unit_is_written_whole_where_systemd_looks_if_new_and_removed_alone(
     assert [path.name for path in done.path.parent.iterdir()] == ["cushion.service"]
     other = done.path.with_name("other.service")
     other.touch()
-    removed = remove(environ)
+    removed = restore(None, environ)
     assert (removed.path, removed.changed, removed.commands) == (done.path, True, FORGET)
     assert list(other.parent.iterdir()) == [other]
-    assert not remove(environ).changed
+    assert not restore(None, environ).changed
 
 
 def test_the_config_and_state_homes_are_respected_and_wrong_ones_are_not(tmp_path):
@@ -178,7 +173,7 @@ def test_a_unit_that_somebody_else_wrote_stays(environ, tmp_path, kind):
         content = {"edited": b"[Service]\n", "binary": b"\xff", "huge": MARK.encode() * 10_000}
         path.write_bytes(content[kind])
     before = path.lstat()
-    for change in (lambda: install([], ["/opt/cushion"], environ), lambda: remove(environ)):
+    for change in (lambda: install([], ["/opt/cushion"], environ), lambda: restore(None, environ)):
         with pytest.raises(UsageError, match="is left alone; move it away first"):
             change()
     assert os.path.samestat(path.lstat(), before)
@@ -221,6 +216,5 @@ def test_the_command_installs_the_rule_as_it_is(tmp_path):
     assert int(Path(UDEV_PATH).name[:2]) < 73  # the rule that gives access away
     assert target.read_text() == UDEV_RULE
     assert done.stdout.splitlines() == [
-        "udevadm control --reload",
-        "udevadm trigger --subsystem-match=usb --action=change",
+        *("udevadm control --reload", "udevadm trigger --subsystem-match=usb --action=change")
     ]

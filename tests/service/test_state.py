@@ -12,14 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from audioflinger_hook.daemon.timing import Backoff
-from audioflinger_hook.service.meters import (
-    FLOOR_DBFS,
-    STEP,
-    BufferClock,
-    BufferTimes,
-    Level,
-    LevelMeter,
-)
+from audioflinger_hook.service import meters
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from audioflinger_hook.service.systemd import Notifier, Watchdog, watchdog_period_s
 
@@ -63,7 +56,7 @@ def test_a_state_that_goes_on_keeps_its_start_and_takes_the_new_reason():
     assert keeper.report(0.0).since_s == 0.0  # a clock that runs back
 
 
-def test_a_report_is_a_picture_that_does_not_change():
+def test_a_report_does_not_change_and_its_reason_is_a_printable_line_of_bounded_length():
     keeper = StateKeeper(0.0)
     report = keeper.report(1.0)
     keeper.count(Cause.RESYNC)
@@ -72,9 +65,6 @@ def test_a_report_is_a_picture_that_does_not_change():
     assert report.state is S.STARTING
     with pytest.raises(TypeError):
         report.recoveries[Cause.RESYNC] = 1  # type: ignore[index]
-
-
-def test_a_reason_becomes_one_printable_line_of_bounded_length():
     keeper = StateKeeper(0.0)
     keeper.enter(S.WAITING_FOR_SERVER, 0.0, "\x1b[2J no\n server " + "x" * 10**6)
     reason = keeper.report(0.0).reason
@@ -85,11 +75,9 @@ def test_a_reason_becomes_one_printable_line_of_bounded_length():
 def test_waits_double_from_50_ms_to_2_s_and_begin_anew_after_a_success():
     backoff = Backoff(longest_s=2.0)
     assert backoff.wait_s(5.0) == 0.0
-    waits = [backoff.failed(100.0) for _ in range(8)]
-    assert waits == [0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0]
+    assert [backoff.failed(100.0) for _ in range(8)] == [0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0]
     backoff.succeeded()
-    assert backoff.wait_s(100.0) == 0.0
-    assert backoff.failed(100.0) == 0.05
+    assert (backoff.wait_s(100.0), backoff.failed(100.0)) == (0.0, 0.05)
     assert backoff.wait_s(100.01) == pytest.approx(0.04)
     assert backoff.wait_s(100.06) == 0.0
 
@@ -129,35 +117,27 @@ def test_a_daemon_that_has_reason_to_be_silent_is_fed(state):
 
 @given(st.floats(0.01, 1e4), st.lists(st.floats(0.0, 1.0), min_size=50, max_size=80))
 def test_who_asks_as_often_as_told_feeds_within_half_the_period(period_s, steps):
-    watchdog = Watchdog(period_s)
-    now_s, fed_s = 0.0, [0.0]
+    watchdog, now_s, fed_s = Watchdog(period_s), 0.0, [0.0]
     watchdog.due(0, S.RUNNING, 0.0)
     for buffers, step in enumerate(steps, 1):
         now_s += step * watchdog.check_s
         if watchdog.due(buffers, S.RUNNING, now_s):
             fed_s.append(now_s)
     fed_s.append(now_s)
-    gaps = [b - a for a, b in pairwise(fed_s)]
-    assert max(gaps) <= period_s / 2 * (1 + 1e-9)
+    assert max([b - a for a, b in pairwise(fed_s)]) <= period_s / 2 * (1 + 1e-9)
 
 
 @pytest.fixture(params=["path", "abstract"])
 def manager(request, tmp_path):
     """A service manager's socket, and the name of it that a service is given."""
+    folder = os.open(tmp_path, os.O_PATH)  # pytest's folders may be deeper than an address is long
+    path, abstract = f"/proc/self/fd/{folder}/notify", f"@{tmp_path.name}-{os.getpid()}"
+    given = path if request.param == "path" else abstract
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as end:
-        name = f"{tmp_path.name}-{os.getpid()}"
-        if request.param == "path":
-            # pytest's folders may be deeper than an address is long
-            link = f"/proc/self/fd/{os.open(tmp_path, os.O_PATH)}/notify"
-            end.bind(link)
-            given = link
-        else:
-            end.bind(f"\0{name}")
-            given = f"@{name}"
+        end.bind(given.replace("@", "\0"))
         end.settimeout(5.0)
         yield end, given
-        if request.param == "path":
-            os.close(int(link.split("/")[4]))
+    os.close(folder)
 
 
 def test_every_message_arrives_as_systemd_reads_it(manager):
@@ -184,14 +164,12 @@ def test_every_message_arrives_as_systemd_reads_it(manager):
     ],
 )
 def test_without_a_manager_or_with_one_that_is_gone_nothing_is_sent(name):
-    notifier = Notifier({"NOTIFY_SOCKET": name} if name else {})
-    assert not notifier.send("READY=1")
+    assert not Notifier({"NOTIFY_SOCKET": name} if name else {}).send("READY=1")
 
 
 def test_a_manager_that_reads_nothing_is_not_waited_for_long(manager):
     _, name = manager
-    notifier = Notifier({"NOTIFY_SOCKET": name})
-    sent = 0
+    notifier, sent = Notifier({"NOTIFY_SOCKET": name}), 0
     while notifier.send(status="x" * 200):
         sent += 1
         assert sent < 100_000
@@ -208,8 +186,7 @@ def sine(amplitude: float, frames: int = RATE, channels: int = 2) -> np.ndarray:
 @pytest.mark.parametrize("amplitude", [1.0, 0.1, 1e-4])
 @pytest.mark.parametrize("size", [64, 441, 1024, 9000])
 def test_a_sine_reads_its_peak_and_3_db_less_in_blocks_of_any_length(amplitude, size):
-    meter = LevelMeter(RATE)
-    signal = np.concatenate([sine(amplitude)] * 3)
+    meter, signal = meters.LevelMeter(RATE), np.concatenate([sine(amplitude)] * 3)
     for start in range(0, len(signal), size):
         meter.add(signal[start : start + size])
     level_db = 20.0 * math.log10(amplitude)
@@ -218,19 +195,19 @@ def test_a_sine_reads_its_peak_and_3_db_less_in_blocks_of_any_length(amplitude, 
 
 
 def test_silence_reads_the_floor_and_a_peak_falls_20_db_a_second():
-    meter = LevelMeter(RATE)
-    assert meter.level() == Level(FLOOR_DBFS, FLOOR_DBFS)
+    meter = meters.LevelMeter(RATE)
+    assert meter.level() == meters.Level(meters.FLOOR_DBFS, meters.FLOOR_DBFS)
     meter.add(np.full((1, 1), -1.0, np.float32))
     meter.add(np.zeros((RATE, 1), np.float32))
     assert meter.level().peak_dbfs == pytest.approx(-20.0, abs=0.01)
     for _ in range(10):
         meter.add(np.zeros((RATE, 1), np.float32))
-    assert meter.level() == Level(FLOOR_DBFS, FLOOR_DBFS)
+    assert meter.level() == meters.Level(meters.FLOOR_DBFS, meters.FLOOR_DBFS)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_samples_that_are_not_finite_spoil_nothing(value):
-    meter = LevelMeter(RATE)
+    meter = meters.LevelMeter(RATE)
     meter.add(sine(0.5))
     before = meter.level()
     meter.add(np.array([[0.1], [value]], np.float32))
@@ -240,30 +217,24 @@ def test_samples_that_are_not_finite_spoil_nothing(value):
     assert math.isfinite(meter.level().rms_dbfs)
 
 
-def growth(step) -> int:
-    for _ in range(100):
-        step()
-    tracemalloc.start()
-    try:
-        before, _ = tracemalloc.get_traced_memory()
-        for _ in range(2000):
-            step()
-        after, _ = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    return after - before
-
-
 def test_neither_meter_nor_clock_grows():
-    meter, clock = LevelMeter(RATE), BufferClock()
-    block = sine(0.5, 1024)
-    assert growth(lambda: meter.add(block)) < 1000
-    assert growth(lambda: clock.add(0.001, 0.02)) < 1000
+    meter, clock, block = meters.LevelMeter(RATE), meters.BufferClock(), sine(0.5, 1024)
+
+    def held() -> int:
+        for _ in range(2_000):
+            meter.add(block)
+            clock.add(0.001, 0.02)
+        return tracemalloc.get_traced_memory()[0]
+
+    tracemalloc.start()
+    before, after = held(), held()
+    tracemalloc.stop()
+    assert after - before < 1000
 
 
 @given(st.lists(st.floats(2e-6, 9.0), min_size=1, max_size=300))
 def test_percentiles_are_at_most_4_percent_too_long_and_never_too_short(durations_s):
-    clock = BufferClock()
+    clock = meters.BufferClock()
     for duration_s in durations_s:
         clock.add(duration_s, 0.02)
     ordered_ms = sorted(1e3 * duration_s for duration_s in durations_s)
@@ -271,13 +242,13 @@ def test_percentiles_are_at_most_4_percent_too_long_and_never_too_short(duration
     assert times.max_ms == ordered_ms[-1]
     for share, reading_ms in ((0.5, times.p50_ms), (0.99, times.p99_ms)):
         exact_ms = ordered_ms[math.ceil(share * len(ordered_ms)) - 1]
-        assert exact_ms * (1 - 1e-9) <= reading_ms <= exact_ms * STEP * (1 + 1e-9)
+        assert exact_ms * (1 - 1e-9) <= reading_ms <= exact_ms * meters.STEP * (1 + 1e-9)
     assert times.p50_ms <= times.p99_ms <= times.max_ms
 
 
 @pytest.mark.parametrize("duration_s", [-1.0, 0.0, 1e-9, 100.0, 1e9, math.inf])
 def test_times_off_the_scale_are_taken_too(duration_s):
-    clock = BufferClock()
+    clock = meters.BufferClock()
     clock.add(duration_s, 0.0)
     times = clock.times()
     assert (times.max_ms, times.p50_ms) == (max(0.0, 1e3 * duration_s), times.max_ms)
@@ -285,7 +256,7 @@ def test_times_off_the_scale_are_taken_too(duration_s):
 
 
 def test_each_channel_is_measured_by_itself():
-    meter = LevelMeter(RATE)
+    meter = meters.LevelMeter(RATE)
     assert meter.channel_readings() == [(0.0, 0.0)]
     both = sine(0.5)
     both[:, 1] *= 0.1
@@ -296,23 +267,22 @@ def test_each_channel_is_measured_by_itself():
     assert left_square / right_square == pytest.approx(100.0, rel=1e-3)
     assert meter.reading()[0] == left
     for view in (both[:, :1], both[:, 0], both[:, 0].copy()):
-        alone = LevelMeter(RATE)
+        alone = meters.LevelMeter(RATE)
         for block in np.array_split(view, 40):
             alone.add(block)
         assert alone.reading() == pytest.approx((left, left_square))
     meter.reset()
-    assert meter.level() == Level()
-    assert meter.channel_readings() == [(0.0, 0.0)]
+    assert (meter.level(), meter.channel_readings()) == (meters.Level(), [(0.0, 0.0)])
 
 
 def test_the_share_is_of_all_time_played_and_every_buffer_is_counted_once_and_if_late():
-    clock = BufferClock()
-    assert clock.times() == BufferTimes()
+    clock = meters.BufferClock()
+    assert clock.times() == meters.BufferTimes()
     clock.add(0.001, 0.02)
     clock.add(0.003, 0.06)
     times = clock.times()
     assert (times.share_percent, times.buffer_ms) == pytest.approx((5.0, 60.0))
-    clock = BufferClock()
+    clock = meters.BufferClock()
     for busy_s in (0.5e-4, 3e-4, 0.02, 0.3):
         clock.add(busy_s, 0.01)
     times = clock.times()

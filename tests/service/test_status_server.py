@@ -32,6 +32,7 @@ from audioflinger_hook.service.status_server import (
     StatusServer,
 )
 from device.errors import InternalError, NotFoundError, UsageError
+from tests.monitor.stand_in import odd_daemon
 from tests.servers.listening import wait_for
 from tests.service.test_runtime_folder import holding, root_only
 from tests.support.commands import open_files
@@ -115,12 +116,19 @@ def test_the_socket_is_for_its_owner_alone_and_its_path_longer_than_an_address(t
     assert stat.S_IMODE(mode) == 0o600
 
 
-def test_many_requests_on_one_connection_are_answered_in_order(daemon):
+def test_many_requests_are_answered_in_order_and_a_status_that_cannot_be_told_harms_nobody(daemon):
     with daemon.connect() as client:
         client.sendall(ASK * 3 + b"nonsense\n" + ASK)
         client.shutdown(socket.SHUT_WR)
         answers = [json.loads(text) for text in everything(client).splitlines()]
     assert ["error" in parsed for parsed in answers] == [False, False, False, True, False]
+    for broken in (RuntimeError("boom\nboom"), replace(STATUS, since_s=float("nan"))):
+        daemon.status = broken
+        with pytest.raises(InternalError, match="does not report its status: the status"):
+            daemon.ask()
+    for whole in (replace(STATUS, warnings=("é" * 50_000,) * 2), STATUS):
+        daemon.status = whole
+        assert daemon.ask() == whole
 
 
 @pytest.mark.parametrize("half", [socket.SHUT_RD, socket.SHUT_RDWR])
@@ -143,16 +151,6 @@ def test_a_request_that_is_too_long_or_not_ended_is_answered_and_ends_the_connec
         client.sendall(ASK.strip())
         client.shutdown(socket.SHUT_WR)
         assert b"no line break" in everything(client)
-
-
-def test_a_status_that_cannot_be_told_harms_neither_daemon_nor_client(daemon):
-    for broken in (RuntimeError("boom\nboom"), replace(STATUS, since_s=float("nan"))):
-        daemon.status = broken
-        with pytest.raises(InternalError, match="does not report its status: the status"):
-            daemon.ask()
-    for whole in (replace(STATUS, warnings=("é" * 50_000,) * 2), STATUS):
-        daemon.status = whole
-        assert daemon.ask() == whole
 
 
 pieces = st.one_of(
@@ -272,9 +270,8 @@ def test_another_user_who_reaches_the_socket_gets_no_answer():
             "import socket, sys; s = socket.socket(socket.AF_UNIX); s.settimeout(10);"
             "s.connect(sys.argv[1]); s.sendall(sys.argv[2].encode()); print(s.recv(9))"
         )
-        address = str(daemon.folder.path / NAME)
         done = subprocess.run(
-            ["/usr/bin/env", "python3", "-c", script, address, ASK.decode()],
+            ["/usr/bin/env", "python3", "-c", script, str(daemon.folder.path / NAME), ASK.decode()],
             user=65534,
             capture_output=True,
             text=True,
@@ -288,16 +285,14 @@ def test_another_user_who_reaches_the_socket_gets_no_answer():
 
 
 def test_stopping_closes_everything_and_removes_the_socket(tmp_path):
-    files, threads = open_files(), threading.active_count()
-    daemon = Daemon(str(tmp_path))
+    files, threads, daemon = open_files(), threading.active_count(), Daemon(str(tmp_path))
     with daemon.connect() as client:
         client.sendall(ASK)
         line(client)
         daemon.close()
         daemon.server.stop()
         assert everything(client) == b""
-    assert list((tmp_path / "cushion").iterdir()) == []
-    assert open_files() == files
+    assert (list((tmp_path / "cushion").iterdir()), open_files()) == ([], files)
     assert threading.active_count() == threads
     daemon = Daemon(str(tmp_path))  # one that has lost its place leaves the new one alone
     (daemon.folder.path / NAME).unlink()
@@ -323,10 +318,8 @@ def test_the_socket_of_a_killed_daemon_is_replaced_and_that_of_a_living_one_is_n
 
 
 def test_what_is_no_socket_of_ours_is_neither_removed_nor_used(tmp_path):
-    environ = {"XDG_RUNTIME_DIR": str(tmp_path)}
-    with RuntimeFolder(environ, create=True) as folder:
-        files = open_files()
-        place = folder.path / NAME
+    with RuntimeFolder({"XDG_RUNTIME_DIR": str(tmp_path)}, create=True) as folder:
+        files, place = open_files(), folder.path / NAME
 
         def refused(words: str) -> None:
             with pytest.raises(UsageError, match=words):
@@ -356,34 +349,6 @@ def test_without_a_daemon_the_client_says_how_to_start_one(tmp_path):
         ask_status(1.0, time.monotonic, {"XDG_RUNTIME_DIR": "nowhere"})
 
 
-@contextlib.contextmanager
-def odd_daemon(folder, behave, backlog=1):
-    """A socket where the daemon's should be, whose one connection does as told."""
-    environ = {"XDG_RUNTIME_DIR": str(folder)}
-    with (
-        RuntimeFolder(environ, create=True) as runtime,
-        socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener,
-        socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as waiting,
-    ):
-        listener.bind(runtime.address(NAME))
-        listener.listen(backlog)
-
-        def serve() -> None:
-            accepted, _ = listener.accept()
-            with accepted, contextlib.suppress(OSError):  # it has heard enough
-                behave(accepted)
-
-        thread = threading.Thread(target=serve)
-        if backlog:
-            thread.start()
-            yield environ
-            thread.join(DEADLINE_S)
-        else:  # the queue is full: even the connection waits
-            waiting.connect(listener.getsockname())
-            yield environ
-        assert not thread.is_alive()
-
-
 def dripping(accepted: socket.socket) -> None:
     while True:  # there is always something to read
         accepted.sendall(b"x")
@@ -391,21 +356,20 @@ def dripping(accepted: socket.socket) -> None:
 
 
 @pytest.mark.parametrize(
-    ("behave", "backlog"), [(everything, 1), (everything, 0), (dripping, 1)], ids=range(3)
+    ("behave", "accepts"), [(everything, True), (everything, False), (dripping, True)], ids=range(3)
 )
-def test_a_daemon_that_hangs_or_drips_is_left_after_the_timeout(tmp_path, behave, backlog):
-    with odd_daemon(tmp_path, behave, backlog) as environ:
+def test_a_daemon_that_hangs_or_drips_is_left_after_the_timeout(tmp_path, behave, accepts):
+    with odd_daemon(tmp_path, behave, accepts=accepts):
         began_s = time.monotonic()
         with pytest.raises(InternalError, match=r"has not answered within 0.2 s"):
-            ask_status(0.2, time.monotonic, environ)
+            ask_status(0.2, time.monotonic, {"XDG_RUNTIME_DIR": str(tmp_path)})
         assert 0.2 <= time.monotonic() - began_s < 2.0
 
 
 @pytest.mark.parametrize(
     ("reply", "message"),
     [
-        (b"", "cut off or too long"),
-        (b'{"version": ', "cut off or too long"),
+        *((b"", "cut off or too long"), (b'{"version": ', "cut off or too long")),
         (b"x" * 2**21, "cut off or too long"),
         (b"nonsense\n", "is not JSON.*; restart it with this version"),
         (b'{"version": "9"}\n', "has no pid.*; restart it with this version"),
@@ -414,9 +378,6 @@ def test_a_daemon_that_hangs_or_drips_is_left_after_the_timeout(tmp_path, behave
     ids=range(6),
 )
 def test_an_answer_that_is_not_understood_is_an_error_of_one_line(tmp_path, reply, message):
-    def answering(accepted: socket.socket) -> None:
-        accepted.recv(100)
-        accepted.sendall(reply)
-
-    with odd_daemon(tmp_path, answering) as environ, pytest.raises(InternalError, match=message):
-        ask_status(DEADLINE_S, time.monotonic, environ)
+    replies = odd_daemon(tmp_path, lambda accepted: accepted.sendall(reply))
+    with replies, pytest.raises(InternalError, match=message):
+        ask_status(DEADLINE_S, time.monotonic, {"XDG_RUNTIME_DIR": str(tmp_path)})

@@ -17,8 +17,7 @@ BLOCK_S = BLOCK / RATE_HZ
 
 def a_mix(*names):
     client = VoicesClient(RATE_HZ, 1)
-    mixer = mixer_for(client)
-    return mixer, client, [client.add(name) for name in names]
+    return mixer_for(client), client, [client.add(name) for name in names]
 
 
 def mixed(mixer, client):
@@ -30,18 +29,13 @@ def level(value, count=BLOCK):
     return np.full((count, 1), value, np.float32)
 
 
-def test_one_voice_passes_bit_for_bit_whatever_its_buffers_are():
+def test_one_voice_passes_bit_for_bit_and_a_second_is_added_a_block_late_at_most():
     mixer, client, (voice,) = a_mix("player")
-    counts = np.cumsum([256, 7, 1, 960, 5_000, 333])
-    sound = noise(7_000, 1)
-    parts = []
+    counts, sound, parts = np.cumsum([256, 7, 1, 960, 5_000, 333]), noise(7_000, 1), []
     for part in np.split(sound, counts):
         client.push(voice, part, 0.0)
         parts.append(mixed(mixer, client))
     np.testing.assert_array_equal(np.concatenate(parts), sound[:, 0])
-
-
-def test_two_voices_are_added_and_the_second_is_a_block_late_at_most():
     mixer, client, (one, other) = a_mix("one", "other")
     heard = []
     for block in range(20):
@@ -53,7 +47,7 @@ def test_two_voices_are_added_and_the_second_is_a_block_late_at_most():
     assert (np.array(heard[1:]) == 0.75).all()
 
 
-def test_when_the_voice_that_set_the_pace_is_silent_another_does():
+def test_when_the_voice_that_set_the_pace_is_silent_or_removed_another_does():
     mixer, client, (one, other) = a_mix("one", "other")
     client.push(one, level(0.25), 0.0)
     mixed(mixer, client)
@@ -61,16 +55,12 @@ def test_when_the_voice_that_set_the_pace_is_silent_another_does():
     assert not client.pending_frames
     client.push(other, level(0.5), PACE_LOST_S * 1.1)
     assert mixed(mixer, client)[-1] == 0.5
-
-
-def test_a_voice_that_was_removed_takes_the_pace_with_it():
     mixer, client, (one, other) = a_mix("one", "other")
     client.push(one, level(0.25), 0.0)
     mixed(mixer, client)
     client.remove(one)
     client.push(other, level(0.5), BLOCK_S)
-    assert mixed(mixer, client)[-1] == 0.5
-    assert len(mixer.cycle(1.0, BLOCK).buffer.audio) == BLOCK
+    assert (mixed(mixer, client)[-1], len(mixer.cycle(1.0, BLOCK).buffer.audio)) == (0.5, BLOCK)
 
 
 def test_what_waits_longer_than_it_should_is_dropped_and_counted():
@@ -79,8 +69,7 @@ def test_what_waits_longer_than_it_should_is_dropped_and_counted():
     for _ in range(100):
         client.push(other, level(0.5), 0.01)
     assert other.frames <= WAITING_S * RATE_HZ + BLOCK
-    assert other.frames + other.dropped == 100 * BLOCK
-    assert mixed(mixer, client)[-1] == 0.75
+    assert (other.frames + other.dropped, mixed(mixer, client)[-1]) == (100 * BLOCK, 0.75)
 
 
 pushes = st.tuples(st.integers(0, 2), st.integers(1, 3_000), st.floats(0.0, 0.1))

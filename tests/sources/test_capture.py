@@ -19,12 +19,9 @@ def captured(folder, *buffers, stream="tap"):
 
 def test_buffers_formats_times_and_discontinuities_are_those_delivered(tmp_path):
     delivered = [
-        (noise(480), 48_000, 10.0, False),
-        (noise(0), 48_000, 10.25, False),
-        (noise(7, seed=1), 48_000, 10.5, True),
-        (noise(5, 1), 48_000, 10.75, False),
-        (noise(5, 1, 2), 44_100, 11.0, False),
-        (noise(9, 1, 3), 44_100, 11.5, False),
+        *((noise(480), 48_000, 10.0, False), (noise(0), 48_000, 10.25, False)),
+        *((noise(7, seed=1), 48_000, 10.5, True), (noise(5, 1), 48_000, 10.75, False)),
+        *((noise(5, 1, 2), 44_100, 11.0, False), (noise(9, 1, 3), 44_100, 11.5, False)),
     ]
     with CaptureWriter(tmp_path) as writer:
         for frames, samplerate, time_s, discontinuity in delivered:
@@ -33,8 +30,7 @@ def test_buffers_formats_times_and_discontinuities_are_those_delivered(tmp_path)
     as_a_tap: Tap = tap
     assert (as_a_tap.samplerate, as_a_tap.channels) == (48_000, 2)
     assert as_a_tap.frames_expected == 480 + 7 + 5 + 5 + 9
-    found = []
-    changes = []
+    found, changes = [], []
     while (buffer := tap.read()) is not None:
         assert buffer.shape[1] == tap.channels
         found.append((buffer.tobytes(), tap.samplerate, tap.time_s, tap.discontinuity))

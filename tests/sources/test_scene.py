@@ -36,8 +36,7 @@ def test_a_track_of_another_rate_starts_within_a_frame_of_its_own(samplerate, cy
     click = np.zeros((2_000, 1), np.float32)
     click[0] = 1.0
     for start in (0, 1_000, 1_001, 2_047):
-        one = SceneTrack("click", samplerate, click, start / RATE)
-        made = played(scene_of(one), cycle_frames)
+        made = played(scene_of(SceneTrack("click", samplerate, click, start / RATE)), cycle_frames)
         late = 64 * max(1.0, RATE / samplerate)  # the resampler's filter, half of it
         assert abs(np.abs(made[:, 0]).argmax() - start - late) <= max(1.0, RATE / samplerate)
 
@@ -89,8 +88,7 @@ def test_a_paused_track_is_silent_and_goes_on_where_it_stopped(start, pause, res
 
 def test_a_pause_in_the_last_cycle_of_a_sound_keeps_what_is_left_until_it_goes_on():
     frames = noise(4_000)
-    paused = track(frames, 0, pause_s=(3_950 / RATE, 7_000 / RATE))
-    made = played(scene_of(paused), 256)
+    made = played(scene_of(track(frames, 0, pause_s=(3_950 / RATE, 7_000 / RATE))), 256)
     down, up = 3_950 // 256 * 256, 7_000 // 256 * 256
     left = 4_000 - down
     assert np.array_equal(made[:down], frames[:down])

@@ -45,12 +45,11 @@ def test_sound_passes_bit_for_bit_through_any_split_into_buffers(lengths, channe
     odd = [np.nan, np.inf, -np.inf, -0.0, 1e-44, 3e38, -1_000.0]
     frames[: len(odd), 0] = odd
     client, mixer = connected(cut(frames, lengths, samplerate))
-    blocks = heard(client, mixer)
-    assert np.concatenate(blocks).tobytes() == frames.tobytes()
+    assert np.concatenate(heard(client, mixer)).tobytes() == frames.tobytes()
     assert client.buffers == len(lengths) + 1
 
 
-def test_a_buffer_is_one_cycle_a_longer_one_as_few_as_can_be_and_none_waits_for_the_next():
+def test_a_buffer_is_one_cycle_or_as_few_as_can_be_and_expectations_are_the_tap_s():
     lengths = [1, 959, 960, 961, 0, 2_000]
     client, mixer = connected(cut(noise(sum(lengths)), lengths))
     assert mixer.frames == 960
@@ -59,9 +58,6 @@ def test_a_buffer_is_one_cycle_a_longer_one_as_few_as_can_be_and_none_waits_for_
         mixer.cycle(0.0, played)
         done.append((played, client.buffers))
     assert done == [(1, 1), (959, 2), (960, 3), (960, 4), (1, 4), (960, 6), (960, 6), (80, 6)]
-
-
-def test_what_is_expected_is_what_the_tap_expects_and_close_closes_the_tap():
     tap = cut(noise(500), [100])
     client = TapClient(tap)
     assert client.frames_expected == 500
@@ -74,8 +70,7 @@ def test_what_is_expected_is_what_the_tap_expects_and_close_closes_the_tap():
 def test_a_tone_of_another_rate_is_the_same_tone_without_a_gap(samplerate, lengths):
     frames = tone(1_000.0, samplerate // 2, samplerate)
     client, mixer = connected(cut(frames, lengths, samplerate), RATE, 1)
-    made = np.concatenate(heard(client, mixer))
-    tail = tail_frames_out(samplerate, RATE)
+    made, tail = np.concatenate(heard(client, mixer)), tail_frames_out(samplerate, RATE)
     assert len(made) == math.ceil(len(frames) * RATE / samplerate) + tail
     # The resampler's own latency apart, every frame is where the tone is, but for its two ends.
     late = 64 * max(1.0, samplerate / RATE)  # in frames of the track: half the filter
@@ -84,8 +79,7 @@ def test_a_tone_of_another_rate_is_the_same_tone_without_a_gap(samplerate, lengt
     assert np.abs(made[inner] - wanted[inner]).max() < 1e-4
     # Nothing else in its spectrum: a gap or a repeated frame would leave -60 dB and more.
     seen = made[inner, 0] * blackmanharris(len(made[inner]))
-    power = np.abs(np.fft.rfft(seen)) ** 2
-    hz = np.fft.rfftfreq(len(seen), 1 / RATE)
+    power, hz = np.abs(np.fft.rfft(seen)) ** 2, np.fft.rfftfreq(len(seen), 1 / RATE)
     assert power[np.abs(hz - 1_000.0) > 20.0].max() < 1e-8 * power.max()
 
 
@@ -122,11 +116,10 @@ def test_the_split_into_buffers_changes_no_bit_of_resampled_sound(lengths):
 
 def test_another_format_goes_on_in_the_mix_of_the_first():
     stereo, mono = noise(2_000, 2), tone(500.0, 22_050, 44_100)
-    six = noise(700, 6)
     tap = BufferTap(
         (stereo, RATE, False),
         *[(mono[first : first + 441], 44_100, False) for first in range(0, 22_050, 441)],
-        (six, RATE, True),
+        (noise(700, 6), RATE, True),
         (noise(0, 6), RATE, False),
         (stereo[:960], RATE, True),
     )
@@ -143,6 +136,4 @@ def test_another_format_goes_on_in_the_mix_of_the_first():
     assert np.abs(second[200:, :1] - wanted[200:]).max() < 1e-4
     assert np.abs(made[26_100:26_700]).max() > 0.1  # six channels, folded
     assert np.array_equal(made[26_700:], stereo[:960])
-    assert client.buffers == 1 + 50 + 3
-    assert client.format_changes == 3
-    assert client.discontinuities == 2
+    assert (client.buffers, client.format_changes, client.discontinuities) == (1 + 50 + 3, 3, 2)

@@ -54,8 +54,7 @@ class Side:
                     if begin_s <= true_s < end_s:
                         shift_s += end_s - true_s
                         true_s = end_s
-                due = number + self.burst - 1 - number % self.burst
-                waits = (due - number) * self.block
+                waits = (self.burst - 1 - number % self.burst) * self.block
                 if self.server_block:
                     waits = -(number * self.block) % self.server_block
                 now_s = true_s + waits / self.rate + late
@@ -107,15 +106,13 @@ def run(line: DelayLine, writer: Side, reader: Side, seconds: float, at_read=Non
             write_s, captured_s = next(writes)
             continue
         line.read(out, read_s)
-        status = line.status
-        delay_s = np.nan
+        status, delay_s = line.status, np.nan
         if written and status.state in (DelayState.SETTLING, DelayState.LOCKED):
             # Straight only: no fade under way, no edge of the sawtooth.
             frames = out[:, 0].astype(np.float64) * SAWTOOTH_FRAMES
             steps = np.diff(frames[[0, 1, -1]]) / (1, max(1, len(frames) - 2))
             if np.abs(steps - line.samplerate_in / line.samplerate_out).max() < 0.003:
-                captured = now[0] + (played_s - now[1]) * writer.rate
-                held = (captured - frames[0]) % SAWTOOTH_FRAMES
+                held = (now[0] + (played_s - now[1]) * writer.rate - frames[0]) % SAWTOOTH_FRAMES
                 delay_s = held / writer.samplerate
         rows.append((read_s, delay_s, status.target_s, status.ratio_ppm))
         states.append(status.state)

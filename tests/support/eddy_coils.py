@@ -65,28 +65,24 @@ class CoilRig:
         """Return acceleration and current for the amplifier's voltage, (frames,), from rest."""
         a, large = self.rig.actuator, self.rig.large_signal
         length = int(next_fast_len(len(volts) + round(_REST_S * samplerate), real=True))
-        f = rfftfreq(length, 1.0 / samplerate)
-        s = 1j * math.tau * f
+        s = 1j * math.tau * rfftfreq(length, 1.0 / samplerate)
         m, c, k = a.moving_mass_kg, a.damping_n_s_per_m, a.stiffness_n_per_m
         bl = a.force_factor_n_per_a
         electric = a.resistance_ohm + self.rig.amplifier.source_impedance_ohm + self.law(s)
         # y = x - z, the spring's length: force between mass and frame, which may move itself
-        inertia = s**2 * m
-        absolute = np.ones_like(s)
+        inertia, absolute = s**2 * m, np.ones_like(s)
         if self.seat and self.rig.seat:
             w = self.rig.seat
             frame = s**2 * w.mass_kg + s * w.damping_n_s_per_m + w.stiffness_n_per_m
             # m s^2 x = F = -frame z, so y = F (1 / (m s^2) + 1 / frame)
             absolute = frame / (frame + inertia)
-        stiffness = inertia * absolute + s * c + k
-        drive = np.asarray(rfft(volts, length))
+        stiffness, drive = inertia * absolute + s * c + k, np.asarray(rfft(volts, length))
         force, emf = np.zeros_like(drive), np.zeros_like(drive)
         y = i = np.zeros(0)
         for _ in range(40):
             back = emf + s * bl * force / stiffness
             current = (drive - back) / (electric + s * bl**2 / stiffness)
-            moved = (bl * current + force) / stiffness
-            before = y
+            moved, before = (bl * current + force) / stiffness, y
             y, v, i = irfft(moved, length), irfft(s * moved, length), irfft(current, length)
             if large is None or (len(before) and np.abs(y - before).max() < 1e-7 * np.abs(y).max()):
                 break
@@ -124,13 +120,11 @@ class EddyActuator:
         self._state, self._last = np.zeros(4, complex), 0.0
 
     def move(self, volts: FloatArray, _: object = None) -> Motion:
-        before = np.concatenate([[self._last], volts[:-1]])
-        pushed = np.outer(self._inverse @ self._before, before)
+        pushed = np.outer(self._inverse @ self._before, np.concatenate([[self._last], volts[:-1]]))
         pushed += np.outer(self._inverse @ self._now, volts)
         modes = np.empty_like(pushed)
         for k, value in enumerate(self._values):
-            start = [value * self._state[k]]
-            modes[k], _ = lfilter([1.0], [1.0, -value], pushed[k], zi=start)
+            modes[k], _ = lfilter([1.0], [1.0, -value], pushed[k], zi=[value * self._state[k]])
         if len(volts):
             self._state, self._last = modes[:, -1], float(volts[-1])
         states = (self._vectors @ modes).real
@@ -146,12 +140,9 @@ def random_coil_rig(seed: int, kind: str | None = None) -> tuple[CoilRig, str]:
     At 200 Hz, what eddy currents add is 5 to 60 % of the coil's resistance.
     """
     rig, _ = random_rig(seed)
-    random = np.random.default_rng([seed, 1])
-    kind = kind or KINDS[seed % 3]
-    seat = bool(random.random() < 0.33)
-    r = rig.actuator.resistance_ohm
-    reactance = r * log_uniform(random, 0.05, 0.6)
-    w = math.tau * 200.0
+    random, kind = np.random.default_rng([seed, 1]), kind or KINDS[seed % 3]
+    seat, r = bool(random.random() < 0.33), rig.actuator.resistance_ohm
+    reactance, w = r * log_uniform(random, 0.05, 0.6), math.tau * 200.0
     big = reactance / w
     if kind == "plain":
         main = rig.actuator.inductance_h

@@ -62,8 +62,7 @@ def onset_times_s(sound: FloatArray) -> FloatArray:
     s = settings_of(LiveDesign.of(TransformParameters(), SAMPLERATE))
     filtered = BandPass(s.band_b, s.band_a, s.denormal_guard).process(sound)
     ends = np.arange(s.tick_frames, filtered.size + 1, s.tick_frames)
-    onset = Onsets(s, filtered, ends).onset
-    heard = (1 + np.flatnonzero(onset == np.arange(ends.size))).tolist()
+    heard = (1 + np.flatnonzero(Onsets(s, filtered, ends).onset == np.arange(ends.size))).tolist()
     # A second detection within the rest is of the same onset.
     pairs = zip(heard, [-s.rest_ticks, *heard], strict=False)
     kept = [tick for tick, last in pairs if tick - last >= s.rest_ticks]

@@ -12,8 +12,7 @@ RATE = 48_000
 
 def music(frames, channels=2, seed=0, level=0.3):
     """Noise and tones that come and go, and samples that no transform can use."""
-    random = np.random.default_rng(seed)
-    seconds = np.arange(frames)[:, None] / RATE
+    random, seconds = np.random.default_rng(seed), np.arange(frames)[:, None] / RATE
     tones = np.sin(2 * np.pi * 330.0 * seconds) * (np.sin(2 * np.pi * 5.0 * seconds) > 0.0)
     mixed = level * (random.standard_normal((frames, channels)) + 2.0 * tones)
     mixed[frames // 2, 0] = np.nan

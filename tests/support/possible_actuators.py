@@ -164,7 +164,6 @@ def strong(rig: Rig, stronger: float) -> Rig:
     s = 1j * p.resonance_rad_s
     impedance = p.resistance_ohm + source + s * p.inductance_h
     friction = p.damping_n_s_per_m * s * impedance + p.force_factor_n_per_a**2 * s
-    x_m = abs(p.force_factor_n_per_a / friction)
-    gain = stronger * p.x_max_m / x_m / rig.dac.full_scale_v
+    gain = stronger * p.x_max_m / abs(p.force_factor_n_per_a / friction) / rig.dac.full_scale_v
     free = replace(rig.amplifier, current_limit_a=math.inf)
     return replace(rig, amplifier=replace(free, gain=gain, output_limit_v=2.0 * gain))

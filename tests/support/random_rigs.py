@@ -91,8 +91,7 @@ def identified(seed: int, share: float) -> tuple[Mode, Truth]:
     """The mode of a random rig from one noisy sweep of the non-linear model, and the true one."""
     rig, seat = random_rig(seed)
     bench = SimulatedLaboratory(rig, seat=seat, snr_db=SNR_DB, seed=seed)
-    sweep = Sweep(low_hz=15.0, high_hz=400.0, duration_s=SWEEP_S)
-    moving = bench.sweep_at_excursion(sweep, share)
+    moving = bench.sweep_at_excursion(Sweep(low_hz=15.0, high_hz=400.0, duration_s=SWEEP_S), share)
     recording = bench.measure(moving, [("voltage", "acceleration")])[0]
     return identify_mode(recording, rig.actuator.x_max_m), truth(rig, seat)
 

@@ -66,8 +66,7 @@ def oracle_units(
             if not band_low_hz <= k * samplerate / nfft <= band_high_hz:
                 continue
             offset, amplitude = _refined(spectrum, k)
-            audio_hz = (k + offset) * samplerate / nfft
-            level = amplitude / math.sqrt(2.0)
+            audio_hz, level = (k + offset) * samplerate / nfft, amplitude / math.sqrt(2.0)
             bins = _side(spectrum, k, +1, level) - _side(spectrum, k, -1, level)
             bandwidth_hz = bins * samplerate / nfft
             r = amplitude * bandwidth_hz

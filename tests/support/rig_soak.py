@@ -9,9 +9,8 @@ import numpy as np
 from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.co_energy import energies, linear_energies
+from device.rig.co_energy import Energies, energies
 from device.rig.parameters import Model
-from tests.support.co_energy import stored_energy_j
 from tools.bench.machine import cpu_model
 from tools.bench.sounds.signals import SAMPLERATE
 from tools.records import now
@@ -38,8 +37,7 @@ def soak_energy(model: Model, samples: int = SAMPLES) -> SoakRecord:
     must reach the same largest energy. Then the drive stops, and the energy only falls.
     """
     volts = steady_drive(min(LOOP_S, samples / SAMPLERATE))
-    moved = energy_of(model)
-    start_s = time.process_time()
+    moved, start_s = energy_of(model), time.process_time()
     loops = SETTLED_LOOPS + -(-samples // len(volts))
     peaks_j = np.array([moved(volts).max() for _ in range(loops)])[SETTLED_LOOPS:]
     creep = float(np.abs(peaks_j / peaks_j[0] - 1.0).max())
@@ -77,10 +75,16 @@ def largest_rise(stored_j: FloatArray) -> float:
     return max(0.0, float((after[moving] / before[moving]).max() - 1.0))
 
 
+def stored_energy_j(e: Energies, x: FloatArray, i: FloatArray) -> FloatArray:
+    """Return the energy in spring, stops and field, J: V + i dW'/di - W' = V + L i^2 / 2."""
+    field_j = e.inductance(x)[0] * i * i / 2.0
+    return np.asarray(e.spring(x)[0] + e.stops(x)[0] + field_j)
+
+
 def energy_of(model: Model) -> Energy:
     """Return a rig at rest that moves by one model."""
     p = PAPER.actuator
-    e = linear_energies(p) if model == "linear" else energies(p, PAPER.large_signal)
+    e = energies(p, None if model == "linear" else PAPER.large_signal)
     actuator = AdaptiveActuator(PAPER, SAMPLERATE, model=model)
 
     def moved(volts: FloatArray) -> FloatArray:

@@ -55,8 +55,7 @@ def burst(hz: float, at_s: float, seconds: float, samplerate: int, amplitude: fl
 
 def square(hz: float, seconds: float, samplerate: int, amplitude: float = 1.0) -> FloatArray:
     """Return a square wave that is at its amplitude or its negative in every frame."""
-    half_periods = np.floor(2 * hz * times(seconds, samplerate))
-    return np.where(half_periods % 2 == 0, amplitude, -amplitude)
+    return np.where(np.floor(2 * hz * times(seconds, samplerate)) % 2 == 0, amplitude, -amplitude)
 
 
 def white_noise(
@@ -85,8 +84,7 @@ def chirp(
 
 def one_sample(seconds: float, samplerate: int, at_s: float, height: float = 1.0) -> FloatArray:
     """Return silence but for one frame."""
-    frames = np.arange(round(seconds * samplerate))
-    return np.where(frames == round(at_s * samplerate), height, 0.0)
+    return np.where(np.arange(round(seconds * samplerate)) == round(at_s * samplerate), height, 0.0)
 
 
 def joined(*parts: FloatArray) -> FloatArray:
@@ -122,7 +120,9 @@ def in_blocks(
     parts = []
     first = 0
     for frames in blocks:
-        parts.append(transform.process(sound[first : first + frames]))
+        block = sound[first : first + frames]
+        parts.append(transform.process(block))
+        assert len(parts[-1]) == len(block)
         first = min(first + frames, len(sound))
     parts += [transform.process(sound[first:]), transform.finish()]
     return np.concatenate(parts)

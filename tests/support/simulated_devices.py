@@ -50,20 +50,17 @@ class SimulatedDevices:
 
     def run(self, exchange):
         self.runs += 1
-        random = np.random.default_rng(self.runs)
-        rig = self.rig
+        random, rig = np.random.default_rng(self.runs), self.rig
         dac, amplifier = Dac(rig.dac), Amplifier(rig.amplifier, RATE)
         source = rig.amplifier.source_impedance_ohm
         kind = EddyActuator if rig.actuator.inductance_eddy_h else LinearActuator
         actuator = kind(rig.actuator, RATE, source)
-        names = self.inputs.names
+        names, rate = self.inputs.names, 1.0 + 1e-6 * self.drift_ppm
         names_of_all = ("acceleration", "current", "voltage", "loopback")
         history = {name: np.zeros(20 * RATE) for name in names_of_all}
         lost = dict(self.lost) if self.loses_always else self.lost
-        played, rows, number, adc, skipped = [], 0, 0, 0, 0
-        rate = 1.0 + 1e-6 * self.drift_ppm
+        played, rows, number, adc, skipped, after = [], 0, 0, 0, 0, AFTER
         exchange.begin()
-        after = AFTER
         while after:
             if exchange.ended.is_set():
                 after -= 1
@@ -86,8 +83,7 @@ class SimulatedDevices:
                 history[name][rows : rows + BLOCK] = samples
             rows += BLOCK
             number += 1
-            last = int((rows - 4) * rate)
-            j = np.arange(adc + skipped, max(adc + skipped, last))
+            j = np.arange(adc + skipped, max(adc + skipped, int((rows - 4) * rate)))
             adc += len(j)
             for frame in [frame for frame in lost if frame <= adc]:
                 skipped += lost.pop(frame)
@@ -109,8 +105,7 @@ class SimulatedDevices:
 def _cubic(samples, t):
     """Samples at fractional frames, 0 before the first."""
     whole = np.floor(t).astype(int)
-    x = t - whole
-    at = np.clip(whole, 1, len(samples) - 3)
+    x, at = t - whole, np.clip(whole, 1, len(samples) - 3)
     a, b, c, d = samples[at - 1], samples[at], samples[at + 1], samples[at + 2]
     shown = (
         -a * x * (x - 1) * (x - 2) / 6

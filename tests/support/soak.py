@@ -9,19 +9,11 @@ from audioflinger_hook.transform import FloatArray, HapticTransform, TransformPa
 from audioflinger_hook.transform.design.synthesis import LiveGrid
 from tests.support.memory import memory_growth
 from tests.support.random_rigs import SWEEP_S, found_of, identified
+from tools import soak_record
 from tools.bench.machine import cpu_model
 from tools.bench.measures.vibration import sine_fit
 from tools.bench.sounds.signals import SAMPLERATE, demo_sound, tone
 from tools.records import now
-from tools.soak_record import (
-    HOPS,
-    NO_DRIFT_DB,
-    NO_GROWTH_KB,
-    NO_GROWTH_OBJECTS,
-    PURITY,
-    RIGS,
-    SoakRecord,
-)
 
 BLOCKSIZE = 4_096
 TONE_HZ = 440.0
@@ -31,25 +23,26 @@ SETTLED_AFTER_S = 2
 WATCHED_S = 5
 
 
-def soak_scene(hops: int = HOPS) -> SoakRecord:
+def soak_scene(hops: int = soak_record.HOPS) -> soak_record.SoakRecord:
     """Return what `hops` hops of the demo scene in a loop leave behind in memory."""
     hop_frames = LiveGrid.at(TransformParameters(), SAMPLERATE).hop_frames
     start_s = time.process_time()
     held = memory_growth(HapticTransform(SAMPLERATE, 2), demo_sound(), BLOCKSIZE, hops * hop_frames)
-    return SoakRecord(
+    return soak_record.SoakRecord(
         what="demo scene in a loop",
         date=now(),
         cpu=cpu_model(),
         hops=held.frames // hop_frames,
         stream_s=held.frames / SAMPLERATE,
         took_s=time.process_time() - start_s,
-        passed=NO_GROWTH_KB.met(held.resident_kb) and NO_GROWTH_OBJECTS.met(held.objects),
+        passed=soak_record.NO_GROWTH_KB.met(held.resident_kb)
+        and soak_record.NO_GROWTH_OBJECTS.met(held.objects),
         memory_growth_kb=held.resident_kb,
         objects_left=held.objects,
     )
 
 
-def soak_tone(hops: int = HOPS) -> SoakRecord:
+def soak_tone(hops: int = soak_record.HOPS) -> soak_record.SoakRecord:
     """Return how far a steady tone drifts in level and purity over `hops` hops."""
     hop_frames = LiveGrid.at(TransformParameters(), SAMPLERATE).hop_frames
     second = tone(TONE_HZ, TONE_AMPLITUDE, 1.0)[:, None]
@@ -65,26 +58,25 @@ def soak_tone(hops: int = HOPS) -> SoakRecord:
     ends = np.concatenate(watched).reshape(2, -1)
     first, last = (sine_fit(end, SAMPLERATE) for end in ends)
     drift_db = abs(20.0 * float(np.log10(last.amplitude / first.amplitude)))
-    return SoakRecord(
+    return soak_record.SoakRecord(
         what=f"steady tone of {TONE_HZ:g} Hz",
         date=now(),
         cpu=cpu_model(),
         hops=seconds * SAMPLERATE // hop_frames,
         stream_s=float(seconds),
         took_s=time.process_time() - start_s,
-        passed=NO_DRIFT_DB.met(drift_db) and PURITY.met(last.residual_db),
+        passed=soak_record.NO_DRIFT_DB.met(drift_db) and soak_record.PURITY.met(last.residual_db),
         level_drift_db=drift_db,
         thdn_start_db=first.residual_db,
         thdn_end_db=last.residual_db,
     )
 
 
-def soak_identification(share: float, rigs: int = RIGS) -> SoakRecord:
+def soak_identification(share: float, rigs: int = soak_record.RIGS) -> soak_record.SoakRecord:
     """What is found of many random rigs by sweeps of that share of Xmax."""
     start_s = time.process_time()
-    pairs = [identified(seed, share) for seed in range(rigs)]
-    found = found_of(pairs)
-    return SoakRecord(
+    found = found_of([identified(seed, share) for seed in range(rigs)])
+    return soak_record.SoakRecord(
         what=f"sweeps at {share:g} Xmax",
         date=now(),
         cpu=cpu_model(),

@@ -3,42 +3,30 @@
 import shutil
 from pathlib import Path
 
-ASYNC = """\
+ALTSET = """\
+  Interface 1
+    Altset {}
+    Format: {}
+    Channels: 2
+    Endpoint: 0x05 (5 OUT) (ASYNC)
+    Rates: 44100, 48000{}
+    Data packet interval: 125 us
+    Bits: {}
+"""
+MORE_HZ = ", 88200, 96000, 176400, 192000"
+
+ASYNC = f"""\
 Maker DAC Two at usb-0000:00:14.0-2, high speed : USB Audio
 
 Playback:
   Status: Stop
-  Interface 1
-    Altset 1
-    Format: S16_LE
-    Channels: 2
-    Endpoint: 0x05 (5 OUT) (ASYNC)
-    Rates: 44100, 48000, 88200, 96000, 176400, 192000
-    Data packet interval: 125 us
-    Bits: 16
-    Channel map: FL FR
+{ALTSET.format(1, "S16_LE", MORE_HZ, 16)}    Channel map: FL FR
     Sync Endpoint: 0x81 (1 IN)
     Sync EP Interface: 1
     Sync EP Altset: 1
     Implicit Feedback Mode: No
-  Interface 1
-    Altset 2
-    Format: S32_LE
-    Channels: 2
-    Endpoint: 0x05 (5 OUT) (ASYNC)
-    Rates: 44100, 48000, 88200, 96000, 176400, 192000
-    Data packet interval: 125 us
-    Bits: 24
-    Channel map: FL FR
-  Interface 1
-    Altset 3
-    Format: SPECIAL DSD_U32_BE
-    Channels: 2
-    Endpoint: 0x05 (5 OUT) (ASYNC)
-    Rates: 44100, 48000
-    Data packet interval: 125 us
-    Bits: 32
-    DSD raw: DOP=0, bitrev=0
+{ALTSET.format(2, "S32_LE", MORE_HZ, 24)}    Channel map: FL FR
+{ALTSET.format(3, "SPECIAL DSD_U32_BE", "", 32)}    DSD raw: DOP=0, bitrev=0
 
 Capture:
   Status: Stop

@@ -11,8 +11,7 @@ from device.units import Float32Array
 
 def noise(frames: int, channels: int = 2, seed: int = 0) -> Float32Array:
     """Return white noise up to 0.9, (frames, channels)."""
-    random = np.random.default_rng(seed)
-    return random.uniform(-0.9, 0.9, (frames, channels)).astype(np.float32)
+    return np.random.default_rng(seed).uniform(-0.9, 0.9, (frames, channels)).astype(np.float32)
 
 
 def frames_of(tap: Tap) -> Float32Array:

@@ -46,8 +46,7 @@ def configuration_of(
     body: bytes, interfaces: int, attributes: int = 0x80, units_of_2_ma: int = 50
 ) -> bytes:
     """A configuration of any bytes, descriptors or not."""
-    total = le(9 + len(body), 2)
-    return descriptor(2, total, interfaces, 1, 0, attributes, units_of_2_ma) + body
+    return descriptor(2, le(9 + len(body), 2), interfaces, 1, 0, attributes, units_of_2_ma) + body
 
 
 def split(raw: bytes) -> list[bytes]:

@@ -66,17 +66,20 @@ def headset_adapter() -> bytes:
     )
 
 
+def adaptive_1(
+    form: bytes, feature: bytes, data: bytes, terminal: bytes = STEREO_1, tag: int = 1
+) -> list[bytes]:
+    """1.0, adaptive, with this feature unit 2 between a terminal and a speaker: its parts."""
+    units = usb.header_1([1], terminal, feature, usb.output_1(3, usb.SPEAKER, 2))
+    return [usb.control(0, UAC1, units), usb.stream(1, UAC1, usb.general_1(1, tag) + form, data)]
+
+
 def continuous_rates() -> bytes:
     """1.0, adaptive, any samplerate from 8 to 48 kHz; 24 bits in 3 bytes; a master volume only."""
-    units = usb.header_1(
-        [1],
-        usb.input_1(1, usb.STREAMING_TERMINAL, 2, STEREO),
-        usb.feature_1(2, 1, [usb.MUTE_1 | usb.VOLUME_1, 0, 0], size=2),
-        usb.output_1(3, usb.SPEAKER, 2),
-    )
-    play = usb.general_1(1) + usb.format_1_range(2, 3, 24, 8_000, 48_000)
-    stream = usb.stream(1, UAC1, play, usb.audio_endpoint_1(2, ADAPTIVE, 294))
-    return usb.configuration(usb.control(0, UAC1, units), stream, attributes=0xC0, units_of_2_ma=0)
+    form = usb.format_1_range(2, 3, 24, 8_000, 48_000)
+    master = usb.feature_1(2, 1, [usb.MUTE_1 | usb.VOLUME_1, 0, 0], size=2)
+    parts = adaptive_1(form, master, usb.audio_endpoint_1(2, ADAPTIVE, 294))
+    return usb.configuration(*parts, attributes=0xC0, units_of_2_ma=0)
 
 
 def eight_channels() -> bytes:
@@ -214,14 +217,11 @@ def midi_header_names_the_stream() -> bytes:
     )
 
 
-def basic_3() -> bytes:
+def basic_3(profile: int = 0, interval: int = 1) -> bytes:
     """3.0 with a basic profile: no unit is described."""
-    return usb.configuration(
-        usb.association(0, 2, UAC3),
-        usb.control(0, UAC3),
-        usb.streaming(1, 0, UAC3),
-        usb.streaming(1, 1, UAC3, usb.endpoint(1, ADAPTIVE, 192)),
-    )
+    data = usb.endpoint(1, ADAPTIVE, 192, interval)
+    streams = usb.streaming(1, 0, UAC3) + usb.streaming(1, 1, UAC3, data)
+    return usb.configuration(usb.association(0, 2, UAC3, profile), usb.control(0, UAC3), streams)
 
 
 def full_3() -> bytes:

@@ -46,14 +46,12 @@ class UsbTree:
         descriptors: bytes | None = b"\x12\x01",
     ) -> Path:
         """Plug a device in and return its folder below /sys/devices. card: None for none."""
-        bus = int(port.partition("-")[0])
-        folder = self.path(port)
+        bus, folder = int(port.partition("-")[0]), self.path(port)
         folder.mkdir(parents=True)
         vendor, product_id = ids.split(":")
         self._write(folder, {"busnum": bus, "devnum": address, "speed": 480})
         self._write(folder, {"idVendor": vendor, "idProduct": product_id, "bMaxPower": "100mA"})
-        names = {"manufacturer": manufacturer, "product": product, "serial": serial}
-        self._write(folder, names)
+        self._write(folder, {"manufacturer": manufacturer, "product": product, "serial": serial})
         if descriptors is not None:
             (folder / "descriptors").write_bytes(descriptors)
         node = self.root / f"dev/bus/usb/{bus:03d}/{address:03d}"
@@ -90,8 +88,7 @@ class UsbTree:
         return [device.port for device in self.devices]
 
     def unplug(self, port: str) -> None:
-        folder = self.path(port)
-        bus = self.sys / "bus/usb/devices"
+        folder, bus = self.path(port), self.sys / "bus/usb/devices"
         node = (int((folder / name).read_text()) for name in ("busnum", "devnum"))
         (self.root / "dev/bus/usb/{:03d}/{:03d}".format(*node)).unlink(missing_ok=True)
         for link in (*bus.iterdir(), *self._in(self.sys / "class/sound")):

@@ -23,8 +23,7 @@ RNG_SEED = 35
 
 def uniform(low: float, high: float) -> np.ndarray:
     """Return numbers in a range, and its middle."""
-    rng = np.random.default_rng(RNG_SEED)
-    return np.append(rng.uniform(low, high, CASES), (low + high) / 2.0)
+    return np.append(np.random.default_rng(RNG_SEED).uniform(low, high, CASES), (low + high) / 2.0)
 
 
 def spread(low: float, high: float) -> np.ndarray:
@@ -87,8 +86,7 @@ def test_every_spectrum_is_scipys():
     for length in sorted(LENGTHS):
         for frames in {length // 2, max(1, length // 2 - 1), max(1, length // 3), length}:
             samples = rng.standard_normal(frames)
-            expected = rfft(samples, length)
-            bins = np.empty((2, length // 2 + 1))
+            expected, bins = rfft(samples, length), np.empty((2, length // 2 + 1))
             probes.spectrum(samples, length, bins)
             error = np.abs(bins[0] + 1j * bins[1] - expected).max()
             assert error <= 1e-15 * np.log2(length) * np.abs(expected).max(), length

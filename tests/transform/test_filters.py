@@ -30,8 +30,7 @@ def test_filters_are_those_of_scipy(rate, share):
         _, response = scipy.signal.freqz(b, a, hz, fs=rate)
         np.testing.assert_allclose(filters.response(b, a, hz, rate), response, rtol=1e-13)
         for order, prototype in BUTTERWORTHS:
-            made_of = made(prototype, edge, rate)
-            sections = round_sections(*made_of)
+            sections = round_sections(*made(prototype, edge, rate))
             sos = scipy.signal.butter(order, edge, kind, fs=rate, output="sos")
             _, wanted = scipy.signal.sosfreqz(sos, hz, fs=rate)
             found = filters.response_of_sections(sections, hz, rate)
@@ -54,5 +53,4 @@ def test_low_bins_are_those_of_scipy(count):
 def test_lengths_are_those_of_scipy():
     for least in (*range(1, 300), 4_095, 10_007, 153_601):
         assert filters.fast_length(least) == scipy.fft.next_fast_len(least, real=True)
-        wide = filters.fast_length(least, (2, 3, 5, 7, 11))
-        assert wide == scipy.fft.next_fast_len(least)
+        assert filters.fast_length(least, (2, 3, 5, 7, 11)) == scipy.fft.next_fast_len(least)

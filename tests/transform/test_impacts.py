@@ -12,16 +12,7 @@ from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.haptic import CoreStream
 from tests.oracle import settings_of
 from tests.oracle.partials import Partials
-from tests.support.signals import (
-    envelope,
-    joined,
-    level_db,
-    opened,
-    played,
-    silence,
-    tone,
-    white_noise,
-)
+from tests.support import signals
 
 RATE = 48_000
 PROFILES = ("cinema", "game", "music")
@@ -30,7 +21,6 @@ ONSET_SLOT = first_onset_slot(LiveDesign.of(CINEMA, RATE))
 
 
 def drum(hz, seconds=0.5, decay_s=0.08, amplitude=0.6):
-    """Return a struck skin: a tone and a short noise that die away."""
     time_s = np.arange(round(seconds * RATE)) / RATE
     skin = np.sin(2 * np.pi * hz * time_s) * np.exp(-time_s / decay_s)
     stick = np.random.default_rng(0).standard_normal(time_s.size) * np.exp(-time_s / 0.01)
@@ -40,11 +30,10 @@ def drum(hz, seconds=0.5, decay_s=0.08, amplitude=0.6):
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("hz", [60.0, 110.0, 240.0])
 def test_a_drum_is_felt_most_as_it_is_struck(profile, hz):
-    sound = joined(silence(0.3, RATE), drum(hz), silence(0.3, RATE))
-    parameters = parameters_of(profile)
-    late_ms = []
+    sound = signals.joined(signals.silence(0.3, RATE), drum(hz), signals.silence(0.3, RATE))
+    parameters, late_ms = parameters_of(profile), []
     for parts in (sound, 0.1 * sound):
-        level = envelope(played(parts, RATE, parameters=parameters)[:, 0], RATE)
+        level = signals.envelope(signals.played(parts, RATE, parameters=parameters)[:, 0], RATE)
         late_ms.append(1e3 * float(np.argmax(level)) / RATE - 300.0)
     # The latency is 9 ms, and the envelope of a sudden rise is at its top some ms later.
     assert max(late_ms) < 40.0, late_ms
@@ -57,24 +46,21 @@ def test_a_shot_s_noise_is_felt_most_as_it_begins(profile):
         decaying = np.exp(-np.arange(RATE // 2) / RATE / 0.06)
         noise = np.random.default_rng(seed).standard_normal(decaying.size)
         shot = np.clip(0.5 * noise * decaying, -1.0, 1.0)
-        sound = joined(silence(0.3, RATE), shot, silence(0.2, RATE))
-        vibration = played(sound, RATE, parameters=parameters_of(profile))[:, 0]
+        sound = signals.joined(signals.silence(0.3, RATE), shot, signals.silence(0.2, RATE))
+        vibration = signals.played(sound, RATE, parameters=parameters_of(profile))[:, 0]
         # Felt is acceleration by the inverse of its frequency.
         velocity = lfilter([1.0], [1.0, -np.exp(-2 * np.pi * 20.0 / RATE)], vibration)
-        level = envelope(velocity, RATE)
-        late_ms.append(1e3 * float(np.argmax(level)) / RATE - 300.0)
+        late_ms.append(1e3 * float(np.argmax(signals.envelope(velocity, RATE))) / RATE - 300.0)
     # The latency is 9 ms. Partials that beat have later peaks, which are lower than the first.
     assert np.median(late_ms) < 25.0, late_ms
 
 
 def test_a_blow_adds_to_the_tone_that_sounds_whatever_its_phase():
-    hum = tone(90.0, 1.2, RATE, 0.02)
-    deepest = []
+    hum, deepest = signals.tone(90.0, 1.2, RATE, 0.02), []
     for delay in range(0, 540, 90):
-        at = RATE // 2 + delay
-        sound = hum.copy()
+        at, sound = RATE // 2 + delay, hum.copy()
         sound[at:] += drum(95.0, 1.0)[: sound.size - at]
-        level = envelope(played(sound, RATE, parameters=CINEMA)[:, 0], RATE)
+        level = signals.envelope(signals.played(sound, RATE, parameters=CINEMA)[:, 0], RATE)
         before = level[at - 4_000 : at - 1_500].mean()
         # From the first tick that can be felt to the end of the hop that is under way.
         deepest.append(level[at : at + 1_200].min() / before)
@@ -83,12 +69,11 @@ def test_a_blow_adds_to_the_tone_that_sounds_whatever_its_phase():
 
 
 def test_a_partial_of_an_onset_has_frequency_and_phase_of_what_it_joins():
-    sound = tone(90.0, 1.0, RATE, 0.02)
-    at = RATE // 2 + 300
+    sound, at = signals.tone(90.0, 1.0, RATE, 0.02), RATE // 2 + 300
     sound[at:] += drum(95.0)[: sound.size - at]
     joins = {}
     for merge_ratio in (CINEMA.merge_ratio, 0.0):
-        transform = opened(RATE, 1, parameters=replace(CINEMA, merge_ratio=merge_ratio))
+        transform = signals.opened(RATE, 1, parameters=replace(CINEMA, merge_ratio=merge_ratio))
         transform.take_glides()
         transform.process(sound)
         glides = transform.take_glides()
@@ -116,42 +101,45 @@ def test_amplitudes_that_waver_by_a_twelfth_are_steadied_where_partials_are_merg
 
 
 def test_treble_at_full_scale_loses_less_to_the_limiter_than_it_would_unmoved():
-    parameters = parameters_of("music")
-    spread = white_noise(1.0, RATE, 0.5)
+    parameters, spread = parameters_of("music"), signals.white_noise(1.0, RATE, 0.5)
     levels = []
     for most in (0.0, 4.0):
         design = LiveDesign.of(parameters, RATE)
         strength = replace(design.strength, concentrated=most, programme_start=-30.0)
         stream = CoreStream(replace(design, strength=strength), 1, False)
         felt = stream.process(spread[:, None])[RATE // 2 :, 0]
-        levels.append(level_db(np.cumsum(felt) * 2 * np.pi * 40.0 / RATE))
+        levels.append(signals.level_db(np.cumsum(felt) * 2 * np.pi * 40.0 / RATE))
     assert levels[1] > levels[0] + 1.0
 
 
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("hz", [25.0, 30.0, 35.0, 40.0])
 def test_a_deep_tone_at_12_db_under_full_scale_is_felt_at_18(profile, hz):
-    vibration = played(tone(hz, 6.0, RATE, 0.25), RATE, parameters=parameters_of(profile))[:, 0]
-    assert level_db(vibration[-2 * RATE :]) == pytest.approx(-18.0, abs=4.0)
+    vibration = signals.played(
+        signals.tone(hz, 6.0, RATE, 0.25), RATE, parameters=parameters_of(profile)
+    )[:, 0]
+    assert signals.level_db(vibration[-2 * RATE :]) == pytest.approx(-18.0, abs=4.0)
 
 
 @pytest.mark.parametrize("profile", PROFILES)
 def test_hiss_that_nobody_hears_is_not_felt_however_long_it_lasts(profile):
-    hiss = white_noise(100.0, RATE)
+    hiss = signals.white_noise(100.0, RATE)
     hiss *= 10 ** (-82 / 20) / hiss.std()
-    vibration = played(hiss, RATE, parameters=parameters_of(profile))[:, 0]
-    assert level_db(vibration) < -80.0
+    assert (
+        signals.level_db(signals.played(hiss, RATE, parameters=parameters_of(profile))[:, 0])
+        < -80.0
+    )
 
 
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("a_second", [1, 2, 5, 10, 20, 30, 40, 50])
 def test_clicks_at_any_rate_stay_finite_and_are_never_stronger_than_a_few_alone(profile, a_second):
-    sound = silence(4.0, RATE)
+    sound = signals.silence(4.0, RATE)
     sound[RATE // 10 :: round(RATE / a_second)] = 0.5
     parameters = parameters_of(profile)
-    kernel = played(sound, RATE, parameters=parameters)[:, 0]
+    kernel = signals.played(sound, RATE, parameters=parameters)[:, 0]
     beginning = sound[: RATE // 2] * (np.arange(RATE // 2) < RATE // 8)
-    one = played(beginning, RATE, parameters=parameters)
+    one = signals.played(beginning, RATE, parameters=parameters)
     assert np.isfinite(kernel).all()
     assert kernel.any()
     # Loudness of 50 clicks in a second is 20 phon over that of one at most.

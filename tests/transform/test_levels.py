@@ -5,16 +5,7 @@ import pytest
 
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.mapping import VibrationMapping, vibration_hz
-from tests.support.signals import (
-    FORMS,
-    best_sinusoid,
-    level_db,
-    one_sample,
-    played,
-    thinned,
-    tone,
-    white_noise,
-)
+from tests.support import signals
 
 RATE = 48_000
 PAPER = TransformParameters()
@@ -40,33 +31,32 @@ def test_by_energy_power_follows_height_squared_times_width():
 
 
 def by_either_law(sound, form):
-    """Return the vibration by the paper's law and by energy."""
-    return (played(sound, RATE, form=form, parameters=each)[:, 0] for each in (PAPER, ENERGY))
+    return (
+        signals.played(sound, RATE, form=form, parameters=each)[:, 0] for each in (PAPER, ENERGY)
+    )
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", signals.FORMS)
 def test_by_energy_a_tone_is_the_same_noise_stronger_and_one_sample_a_faint_thump(form):
     middle = slice(RATE // 4, 3 * RATE // 4)
-    tonal, energy = by_either_law(tone(440, 1.0, RATE, 0.5), form)
+    tonal, energy = by_either_law(signals.tone(440, 1.0, RATE, 0.5), form)
     # The tone's r is read off a bell or a line between bins: within 1.4 %, and its root here.
-    assert level_db(energy[middle]) == pytest.approx(level_db(tonal[middle]), abs=0.1)
-    tonal, energy = by_either_law(white_noise(2.0, RATE, 0.5), form)
-    assert level_db(energy) > level_db(tonal) + 6.0
+    assert signals.level_db(energy[middle]) == pytest.approx(
+        signals.level_db(tonal[middle]), abs=0.1
+    )
+    tonal, energy = by_either_law(signals.white_noise(2.0, RATE, 0.5), form)
+    assert signals.level_db(energy) > signals.level_db(tonal) + 6.0
     assert np.abs(energy).max() < 1.0
-    tonal, energy = by_either_law(one_sample(0.6, RATE, 0.3), form)
+    tonal, energy = by_either_law(signals.one_sample(0.6, RATE, 0.3), form)
     # Its onset is felt before it is known that nothing follows: 18 dB weaker, without that 24.
     assert 0.0 < np.abs(energy).max() < np.abs(tonal).max() / 6
-
-
-def test_both_mappings_share_their_ends():
-    ends = np.array([50.0, 12_000.0])
-    for parameters in (PAPER, JND):
-        assert vibration_hz(ends, parameters) == pytest.approx([PAPER.vibration_bottom_hz, 220.0])
 
 
 def test_with_equal_jnds_every_octave_of_sound_is_the_same_ratio_of_vibration():
     octaves = 50.0 * np.exp2(np.arange(8.0))
     felt = vibration_hz(octaves, JND)
+    assert felt[0] == pytest.approx(PAPER.vibration_bottom_hz)
+    assert vibration_hz(np.array(12_000.0), JND) == pytest.approx(220.0)
     assert felt[1:] / felt[:-1] == pytest.approx(np.full(7, 2.0**JND.scale_ratio))
     steps = np.diff(vibration_hz(octaves, PAPER))
     assert steps == pytest.approx(np.full(7, PAPER.scale_hz * np.log(2)))
@@ -74,20 +64,18 @@ def test_with_equal_jnds_every_octave_of_sound_is_the_same_ratio_of_vibration():
 
 @pytest.mark.parametrize("parameters", [PAPER, JND], ids=["paper", "jnd"])
 def test_the_slope_is_that_of_the_mapping(parameters):
-    audio_hz = np.geomspace(60, 10_000, 30)
-    mapping = VibrationMapping.of(parameters)
+    audio_hz, mapping = np.geomspace(60, 10_000, 30), VibrationMapping.of(parameters)
     a, b = mapping.scale_hz, mapping.scale_ratio
     up, down = (vibration_hz(audio_hz * step, parameters) for step in (1 + 1e-6, 1 - 1e-6))
-    felt = vibration_hz(audio_hz, parameters)
-    assert (up - down) / 2e-6 == pytest.approx(a + b * felt, rel=1e-6)
+    assert (up - down) / 2e-6 == pytest.approx(a + b * vibration_hz(audio_hz, parameters), rel=1e-6)
 
 
 @pytest.mark.parametrize("audio_hz", [200.0, 1_000.0, 4_000.0])
 def test_a_tone_is_felt_where_its_mapping_says(audio_hz):
-    vibration = played(tone(audio_hz, 2.0, RATE, 0.5), RATE, parameters=JND)[:, 0]
-    steady, rate = thinned(vibration[RATE // 2 : 3 * RATE // 2], RATE)
+    vibration = signals.played(signals.tone(audio_hz, 2.0, RATE, 0.5), RATE, parameters=JND)[:, 0]
+    steady, rate = signals.thinned(vibration[RATE // 2 : 3 * RATE // 2], RATE)
     wanted = float(vibration_hz(np.array(audio_hz), JND))
-    hz, amplitude, residual_db = best_sinusoid(steady, rate, wanted)
+    hz, amplitude, residual_db = signals.best_sinusoid(steady, rate, wanted)
     assert hz == pytest.approx(wanted, abs=0.1)
     assert amplitude == pytest.approx(0.5, rel=0.06)
     assert residual_db < -50

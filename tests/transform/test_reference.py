@@ -9,23 +9,9 @@ from hypothesis import strategies as st
 from audioflinger_hook.transform import HapticTransform, TransformParameters
 from audioflinger_hook.transform.mapping import vibration_hz
 from audioflinger_hook.transform.reference import ReferenceTransform
+from tests.support import signals
 from tests.support.recordings import require_recordings
 from tests.support.reference_oracle import oracle_units, oracle_vibration
-from tests.support.signals import (
-    FIVE_TONES_HZ,
-    chirp,
-    columns,
-    five_tones,
-    joined,
-    low_noise,
-    made,
-    one_sample,
-    played,
-    silence,
-    square,
-    tone,
-    white_noise,
-)
 
 AGREEMENT = 1e-5
 """Of full scale; what two implementations of the same equations owe each other."""
@@ -47,18 +33,11 @@ OTHER_PARAMETERS = {
 
 def disagreement(sound, samplerate, parameters=PARAMETERS):
     """Return the largest difference from the oracle in each unit, (units,)."""
-    ours = played(sound, samplerate, form="reference", parameters=parameters)
+    ours = signals.played(sound, samplerate, form="reference", parameters=parameters)
     unit = parameters.window_frames(samplerate)
-    theirs = oracle_vibration(
-        sound,
-        samplerate,
-        window_s=parameters.window_s,
-        band_low_hz=parameters.band_low_hz,
-        band_high_hz=parameters.band_high_hz,
-        vibration_top_hz=parameters.vibration_top_hz,
-        threshold=parameters.threshold_hz,
-        partials_max=parameters.partials_max,
-    )
+    names = ("window_s", "band_low_hz", "band_high_hz", "vibration_top_hz", "partials_max")
+    values = {name: getattr(parameters, name) for name in names}
+    theirs = oracle_vibration(sound, samplerate, threshold=parameters.threshold_hz, **values)
     apart = np.abs(ours[unit:, 0] - theirs)
     return np.maximum.reduceat(apart, np.arange(0, apart.size, unit))
 
@@ -78,16 +57,24 @@ def test_it_agrees_with_the_oracle_on_every_recording():
 def test_it_agrees_with_the_oracle_on_synthetic_sounds(samplerate):
     nyquist = samplerate / 2
     sounds = [
-        five_tones(0.6, samplerate) if nyquist > 5_000 else tone(440, 0.6, samplerate),
-        tone(60, 0.4, samplerate, 1.0),
-        chirp(60, min(11_000.0, 0.9 * nyquist), 0.6, samplerate),
-        white_noise(0.4, samplerate, 1.0, seed=1),
-        low_noise(0.4, samplerate, 0.1, seed=2),
-        square(97, 0.4, samplerate),
-        joined(tone(700, 0.15, samplerate), silence(0.2, samplerate), tone(90, 0.1, samplerate)),
-        one_sample(0.3, samplerate, 0.13),
+        signals.five_tones(0.6, samplerate)
+        if nyquist > 5_000
+        else signals.tone(440, 0.6, samplerate),
+        signals.tone(60, 0.4, samplerate, 1.0),
+        signals.chirp(60, min(11_000.0, 0.9 * nyquist), 0.6, samplerate),
+        signals.white_noise(0.4, samplerate, 1.0, seed=1),
+        signals.low_noise(0.4, samplerate, 0.1, seed=2),
+        signals.square(97, 0.4, samplerate),
+        signals.joined(
+            signals.tone(700, 0.15, samplerate),
+            signals.silence(0.2, samplerate),
+            signals.tone(90, 0.1, samplerate),
+        ),
+        signals.one_sample(0.3, samplerate, 0.13),
         np.ones(round(0.3 * samplerate)),
-        columns(tone(300, 0.3, samplerate), white_noise(0.3, samplerate, 0.3, seed=3)),
+        signals.columns(
+            signals.tone(300, 0.3, samplerate), signals.white_noise(0.3, samplerate, 0.3, seed=3)
+        ),
     ]
     assert_agreement([disagreement(sound, samplerate) for sound in sounds])
 
@@ -95,8 +82,8 @@ def test_it_agrees_with_the_oracle_on_synthetic_sounds(samplerate):
 @pytest.mark.sweep
 @pytest.mark.parametrize("parameters", OTHER_PARAMETERS.values(), ids=OTHER_PARAMETERS)
 def test_it_agrees_with_the_oracle_under_other_parameters(parameters):
-    noise = white_noise(0.3, 44_100, 0.5, seed=4)
-    sound = joined(five_tones(0.4, 44_100), noise, tone(333, 0.2, 44_100))
+    noise = signals.white_noise(0.3, 44_100, 0.5, seed=4)
+    sound = signals.joined(signals.five_tones(0.4, 44_100), noise, signals.tone(333, 0.2, 44_100))
     assert_agreement([disagreement(sound, 44_100, parameters)])
 
 
@@ -113,9 +100,9 @@ def test_it_agrees_with_the_oracle_under_other_parameters(parameters):
 )
 @settings(max_examples=60)
 def test_it_agrees_with_the_oracle_on_any_mix_but_for_ties(partials, noise, seed, samplerate):
-    sound = white_noise(0.14, samplerate, noise, seed)
+    sound = signals.white_noise(0.14, samplerate, noise, seed)
     for hz, amplitude, phase in partials:
-        sound += tone(min(hz, 0.45 * samplerate), 0.14, samplerate, amplitude, phase)
+        sound += signals.tone(min(hz, 0.45 * samplerate), 0.14, samplerate, amplitude, phase)
     apart = disagreement(sound, samplerate)
     for unit in (apart > AGREEMENT).nonzero()[0]:
         # r lies within rounding of the threshold or of another r
@@ -133,20 +120,24 @@ def test_it_agrees_with_the_oracle_on_any_mix_but_for_ties(partials, noise, seed
 @pytest.mark.parametrize("amplitude", [0.05, 0.15, 0.2])
 def test_unit_39_of_the_papers_five_tones_holds_these_five_and_nothing_else(samplerate, amplitude):
     form = ReferenceTransform(PARAMETERS, samplerate)
-    units = form.cut(five_tones(2.0, samplerate, amplitude))
+    units = form.cut(signals.five_tones(2.0, samplerate, amplitude))
     start_s = 39 * PARAMETERS.window_frames(samplerate) / samplerate
     assert start_s <= 1.83 < start_s + PARAMETERS.window_s
     found = form.analyse(units[39:40])
     # 0.5 Hz is a twentieth of a bin: more than the tones' side lobes shift one another.
-    np.testing.assert_allclose(found.audio_hz, FIVE_TONES_HZ, rtol=0, atol=0.5)
+    np.testing.assert_allclose(found.audio_hz, signals.FIVE_TONES_HZ, rtol=0, atol=0.5)
 
 
-def test_the_five_tones_and_the_band_are_felt_where_the_paper_says():
-    felt = vibration_hz(np.array([50.0, *FIVE_TONES_HZ, 12_000.0]), PARAMETERS)
+def test_the_five_tones_and_the_band_are_felt_where_the_paper_says_and_not_limited():
+    felt = vibration_hz(np.array([50.0, *signals.FIVE_TONES_HZ, 12_000.0]), PARAMETERS)
     expected = [1 / 0.04643, 46.6, 92.0, 128.2, 140.9, 182.0, 220.0]
     np.testing.assert_allclose(felt, expected, rtol=0, atol=0.05)
     assert PARAMETERS.vibration_bottom_hz == pytest.approx(21.54, abs=0.005)
     assert PARAMETERS.scale_hz == pytest.approx(36.21, abs=0.005)
+    sound = signals.tone(1_000, 0.5, 48_000, 3.0)
+    transform = signals.made(sound, 48_000, form="reference")
+    assert np.abs(transform.process(sound)).max() > 2.5
+    assert transform.limited_samples == 0
 
 
 @pytest.mark.parametrize(("samplerate", "frames"), [(44_100, 2_048), (48_000, 2_229)])
@@ -155,40 +146,12 @@ def test_a_unit_has_as_many_frames_as_the_paper_says(samplerate, frames):
     assert HapticTransform(samplerate, form="reference").latency_frames == frames
 
 
-@pytest.mark.parametrize("hz", [150.0, 440.0, 1_000.0, 4_000.0, 9_000.0])
-def test_a_steady_full_scale_tone_comes_out_near_full_scale(hz):
-    vibration = played(tone(hz, 1.0, 48_000), 48_000, form="reference")[10_000:40_000, 0]
-    # 1.30 bins is the window's half-power width to 2 %; from 9 kHz up the band-pass takes 1 dB,
-    # and side lobes that count as principal take a few per cent from the tone's own weight.
-    assert 0.85 < np.abs(vibration).max() < 1.06
-
-
-def test_it_is_not_limited():
-    sound = tone(1_000, 0.5, 48_000, 3.0)
-    transform = made(sound, 48_000, form="reference")
-    vibration = transform.process(sound)
-    assert np.abs(vibration).max() > 2.5
-    assert transform.limited_samples == 0
-
-
-def test_units_without_a_principal_frequency_are_exact_zeros():
-    unit = PARAMETERS.window_frames(48_000)
-    sound = joined(tone(500, 0.2, 48_000), silence(0.5, 48_000))
-    vibration = played(sound, 48_000, form="reference")[unit:, 0]
-    # Two units after the tone the filter's ringing is under the threshold as well.
-    first = (round(0.2 * 48_000) // unit + 3) * unit
-    assert not vibration[first:].any()
-    assert vibration[:first].any()
-
-
 @pytest.mark.parametrize("units", [0, 1, 2.5, 4])
 def test_the_vibration_is_as_long_as_the_sound_and_stands_at_its_own_time(units):
     unit = PARAMETERS.window_frames(44_100)
-    sound = tone(800, 1.0, 44_100)[: round(units * unit)]
-    transform = made(sound, 44_100, form="reference")
-    during = transform.process(sound)
-    after = transform.finish()
-    assert during.shape == (sound.size, 1)
-    assert after.shape == (unit, 1)
+    sound = signals.tone(800, 1.0, 44_100)[: round(units * unit)]
+    transform = signals.made(sound, 44_100, form="reference")
+    during, after = transform.process(sound), transform.finish()
+    assert (during.shape, after.shape) == ((sound.size, 1), (unit, 1))
     shifted = np.concatenate((during, after))[unit:, 0]
     np.testing.assert_allclose(shifted, oracle_vibration(sound, 44_100), rtol=0, atol=AGREEMENT)

@@ -17,7 +17,7 @@ from audioflinger_hook.transform.filters import Roots, low_pass
 EPSILON = np.finfo(float).eps
 
 
-def test_a_number_keeps_forty_bits_and_a_table_thirty_two():
+def test_a_number_keeps_forty_bits_a_table_thirty_two_and_a_rounded_filter_is_the_filter():
     rng = np.random.default_rng(1)
     for number in (*rng.normal(0, 1, 100), 1e-300, 1e300, -0.018):
         rounded = round_number(number)
@@ -33,9 +33,6 @@ def test_a_number_keeps_forty_bits_and_a_table_thirty_two():
     # What is 0 but for rounding becomes 0.
     quarters = np.cos(np.arange(5) * np.pi / 2.0)
     np.testing.assert_array_equal(round_table(quarters), [1.0, 0.0, -1.0, 0.0, 1.0])
-
-
-def test_a_rounded_filter_is_the_filter():
     zeros, poles, gain = ellip(6, 0.5, 50.0, 0.2, output="zpk")
     _, wanted = freqz(*ellip(6, 0.5, 50.0, 0.2))
     _, found = freqz(*round_filter(zeros, poles, gain))

@@ -14,45 +14,26 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import butter, sosfilt
 
 from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform import reference as reference_form
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.haptic import CoreStream
 from audioflinger_hook.transform.input_stage import BandPass, design_band_pass
-from audioflinger_hook.transform.principal import PrincipalFinder, Spectrum, parabola
+from audioflinger_hook.transform.principal import PrincipalFinder, Spectrum
 from audioflinger_hook.transform.reference import ReferenceTransform
 from tests.oracle import settings_of, vibrate
 from tests.oracle.analysis import all_principal, strongest_principal
 from tests.oracle.loudness import at_hz
+from tests.support import signals
 from tests.support.recordings import require_recordings
-from tests.support.signals import (
-    best_sinusoid,
-    burst,
-    envelope,
-    felt_hz,
-    five_tones,
-    identical,
-    joined,
-    low_noise,
-    one_sample,
-    played,
-    silence,
-    square,
-    thinned,
-    tone,
-    white_noise,
-)
 from tools.bench.sections.savings import FAINT, SAVINGS
 
 PARAMETERS = TransformParameters()
 
 
 def changed(design, section, **values):
-    """Return a design with other values in one section."""
     return replace(design, **{section: replace(getattr(design, section), **values)})
 
 
 def vibration_of(design, sound):
-    """Return all vibration of a sound by a design."""
     stream = CoreStream(design, 1, False)
     return np.concatenate((stream.process(sound[:, None]), stream.finish()))[:, 0]
 
@@ -71,9 +52,13 @@ def test_no_saving_changes_more_than_it_states(saving):
     clicks[::1_200] = 1.0
     sounds = [
         # The low-pass rings longest at its edge, to which the top of the band is mapped.
-        joined(tone(11_900, 0.3, 48_000), silence(1.5, 48_000), tone(60, 0.2, 48_000)),
-        joined(clicks, silence(0.6, 48_000), white_noise(0.5, 48_000)),
-        low_noise(0.5, 48_000, 0.02),
+        signals.joined(
+            signals.tone(11_900, 0.3, 48_000),
+            signals.silence(1.5, 48_000),
+            signals.tone(60, 0.2, 48_000),
+        ),
+        signals.joined(clicks, signals.silence(0.6, 48_000), signals.white_noise(0.5, 48_000)),
+        signals.low_noise(0.5, 48_000, 0.02),
         *(
             soundfile.read(path)[0]
             for path in require_recordings()
@@ -99,7 +84,7 @@ def kept_in(design, sound):
 
 def test_images_of_high_peaks_change_next_to_nothing_where_they_decide_nothing():
     (saving,) = (saving for saving in SAVINGS if "high peaks" in saving.name)
-    usual, sound = LiveDesign.of(PARAMETERS, 48_000), white_noise(4.0, 48_000)
+    usual, sound = LiveDesign.of(PARAMETERS, 48_000), signals.white_noise(4.0, 48_000)
     ours, theirs = (kept_in(each, sound) for each in (usual, saving.switch_off(usual)))
     changes = []
     for (one, level), (other, its_level) in zip(ours, theirs, strict=True):
@@ -118,19 +103,21 @@ def test_images_of_high_peaks_change_next_to_nothing_where_they_decide_nothing()
 @pytest.mark.parametrize("factor", [0.3, 0.9, 1.0, 1.1, 3.0, 30.0])
 def test_leaving_out_quiet_hops_changes_no_byte_around_the_threshold(samplerate, factor):
     threshold = factor * PARAMETERS.threshold_hz / samplerate
-    sound = joined(
-        white_noise(0.3, samplerate, threshold),
-        square(90, 0.2, samplerate, threshold),
-        silence(0.6, samplerate),
-        burst(200, 0.02, 0.35, samplerate, 0.5),
-        white_noise(0.2, samplerate, threshold, seed=1),
-        one_sample(0.2, samplerate, 0.1, threshold),
-        low_noise(0.2, samplerate, threshold) if samplerate > 1_000 else silence(0.1, samplerate),
-        one_sample(0.2, samplerate, 0.1, 1.0),
+    sound = signals.joined(
+        signals.white_noise(0.3, samplerate, threshold),
+        signals.square(90, 0.2, samplerate, threshold),
+        signals.silence(0.6, samplerate),
+        signals.burst(200, 0.02, 0.35, samplerate, 0.5),
+        signals.white_noise(0.2, samplerate, threshold, seed=1),
+        signals.one_sample(0.2, samplerate, 0.1, threshold),
+        signals.low_noise(0.2, samplerate, threshold)
+        if samplerate > 1_000
+        else signals.silence(0.1, samplerate),
+        signals.one_sample(0.2, samplerate, 0.1, 1.0),
     )
     design = LiveDesign.of(PARAMETERS, samplerate)
     every_hop = changed(design, "input", silence=0.0)
-    assert identical(vibration_of(design, sound), vibration_of(every_hop, sound))
+    assert signals.identical(vibration_of(design, sound), vibration_of(every_hop, sound))
 
 
 @given(
@@ -143,8 +130,7 @@ def test_leaving_out_quiet_hops_changes_no_byte_around_the_threshold(samplerate,
 def test_nothing_under_the_silence_threshold_can_be_principal(seed, kind, window_s, samplerate):
     parameters = TransformParameters(window_s=window_s, vibration_top_hz=220.0)
     design = LiveDesign.of(parameters, samplerate)
-    frames = parameters.window_frames(samplerate)
-    rng = np.random.default_rng(seed)
+    frames, rng = parameters.window_frames(samplerate), np.random.default_rng(seed)
     window = {
         "noise": lambda: rng.uniform(-1, 1, frames),
         "signs": lambda: rng.choice([-1.0, 1.0], frames),
@@ -157,28 +143,14 @@ def test_nothing_under_the_silence_threshold_can_be_principal(seed, kind, window
     assert len(all_principal(design.analysis, spectra)) == 0
 
 
-@pytest.mark.sweep
-@pytest.mark.parametrize("at_once", [1, 2, 5, 1_000])
-def test_how_many_units_are_analysed_at_once_changes_no_byte(monkeypatch, at_once):
-    sound = joined(
-        low_noise(0.5, 48_000, 0.04),
-        silence(0.6, 48_000),
-        five_tones(0.3, 48_000),
-        white_noise(0.3, 48_000),
-    )
-    usual = played(sound, 48_000, form="reference")
-    monkeypatch.setattr(reference_form, "UNITS_AT_ONCE", at_once)
-    assert identical(played(sound, 48_000, form="reference"), usual)
-
-
 @pytest.mark.parametrize(
     ("samplerate", "rounding"),
     # The poles of a 50 Hz high-pass crowd at 1 the closer, the higher the samplerate is.
     [(1_000, 1e-10), (8_000, 1e-10), (48_000, 1e-10), (192_000, 1e-8), (768_000, 1e-6)],
 )
 def test_one_recursion_rounds_almost_as_little_as_second_order_sections(samplerate, rounding):
-    steady = joined(square(50, 0.5, samplerate), tone(60, 0.3, samplerate))
-    sound = joined(white_noise(0.2, samplerate), steady)
+    steady = signals.joined(signals.square(50, 0.5, samplerate), signals.tone(60, 0.3, samplerate))
+    sound = signals.joined(signals.white_noise(0.2, samplerate), steady)
     band = 50.0 if samplerate <= 24_000 else (50.0, 12_000.0)
     kind = "highpass" if samplerate <= 24_000 else "bandpass"
     expected = sosfilt(butter(2, band, kind, fs=samplerate, output="sos"), sound)
@@ -188,7 +160,11 @@ def test_one_recursion_rounds_almost_as_little_as_second_order_sections(samplera
 
 
 def test_the_guard_against_denormal_numbers_is_not_felt():
-    sound = joined(silence(0.2, 48_000), white_noise(0.5, 48_000), tone(300, 0.3, 48_000, 0.02))
+    sound = signals.joined(
+        signals.silence(0.2, 48_000),
+        signals.white_noise(0.5, 48_000),
+        signals.tone(300, 0.3, 48_000, 0.02),
+    )
     design = LiveDesign.of(PARAMETERS, 48_000)
     unguarded = changed(design, "input", denormal_guard=0.0)
     change = vibration_of(unguarded, sound) - vibration_of(design, sound)
@@ -207,7 +183,7 @@ def test_the_low_passs_ripple_is_undone_for_steady_vibration(samplerate):
         glides = [(n * s.ticks, 0, hz, hz, level, level, n * s.hop_s * hz) for n in range(hops)]
         vibration, _, _ = vibrate(s, glides, [], [1.0] * hops * s.ticks)
         late = vibration[vibration.size // 2 :]
-        _, felt, residual_db = best_sinusoid(*thinned(late, samplerate), hz)
+        _, felt, residual_db = signals.best_sinusoid(*signals.thinned(late, samplerate), hz)
         # A table of 0.25 Hz: between its entries the gain is interpolated.
         assert abs(20 * np.log10(2.0 * felt)) < 0.02
         # The images of the interpolation, under -80 dB at any rate.
@@ -233,29 +209,20 @@ def test_the_bound_leaves_out_nothing_principal_in_any_spectrum(amplitudes, thre
     unbounded._peak_span_min = -1.0
     found = [finder.all_principal(np.array([amplitudes])) for finder in (bounded, unbounded)]
     for ours, theirs in zip(*map(all_fields, found), strict=True):
-        assert identical(ours, theirs)
-
-
-@given(left=st.floats(0, 1 - 1e-6), right=st.floats(0, 1), scale=st.floats(1e-9, 1e3))
-@settings(max_examples=300)
-def test_interpolation_raises_a_peak_by_9_8_in_the_power_0_2_at_most(left, right, scale):
-    offset, height = parabola(*scale * np.array([[left], [1.0], [right]]))
-    # The curvature is at least 2e-7 of the height, so rounding moves the top by under 1e-8.
-    assert abs(offset[0]) <= 0.5 + 1e-8
-    assert scale * (1 - 1e-12) <= height[0] <= scale * (9 / 8) ** 5 * (1 + 1e-12)
+        assert signals.identical(ours, theirs)
 
 
 @pytest.mark.parametrize("samplerate", [44_100, 48_000])
 def test_clearing_images_leaves_high_tones_as_they_are(samplerate):
     design = LiveDesign.of(PARAMETERS, samplerate)
-    sound = tone(5_000, 0.5, samplerate) + tone(9_000, 0.5, samplerate)
+    sound = signals.tone(5_000, 0.5, samplerate) + signals.tone(9_000, 0.5, samplerate)
     windows = sliding_window_view(sound, PARAMETERS.window_frames(samplerate))[::500]
     spectra = spectra_of(design, windows)
     keeps_images = replace(design.analysis, weakest_image=np.inf)
     both = [all_principal(section, spectra) for section in (design.analysis, keeps_images)]
     high = [found.take(found.audio_hz > 4_000) for found in both]
     for ours, theirs in zip(all_fields(high[0]), all_fields(high[1]), strict=True):
-        assert identical(ours, theirs)
+        assert signals.identical(ours, theirs)
 
 
 def test_what_the_side_lobe_rule_leaves_out_of_recordings_carries_under_a_hundredth_of_them():
@@ -264,8 +231,7 @@ def test_what_the_side_lobe_rule_leaves_out_of_recordings_carries_under_a_hundre
         design = LiveDesign.of(PARAMETERS, samplerate)
         filtered = BandPass(*design_band_pass(PARAMETERS, samplerate)).process(sound.mean(axis=1))
         frames = PARAMETERS.window_frames(samplerate)
-        windows = sliding_window_view(filtered, frames)[::frames]
-        spectra = spectra_of(design, windows)
+        spectra = spectra_of(design, sliding_window_view(filtered, frames)[::frames])
         found = all_principal(design.analysis, spectra)
         every = replace(design.analysis, partials_max=design.analysis.bins)
         kept = strongest_principal(every, spectra)
@@ -275,23 +241,23 @@ def test_what_the_side_lobe_rule_leaves_out_of_recordings_carries_under_a_hundre
 
 @pytest.mark.parametrize("hz", [200.0, 1_000.0, 4_000.0])
 def test_averaging_small_changes_takes_6_db_of_jitter_from_a_tone_in_noise(hz):
-    sound = tone(hz, 3.0, 48_000, 0.3) + white_noise(3.0, 48_000, 0.003)
-    residuals = []
-    design = LiveDesign.of(PARAMETERS, 48_000)
+    sound = signals.tone(hz, 3.0, 48_000, 0.3) + signals.white_noise(3.0, 48_000, 0.003)
+    residuals, design = [], LiveDesign.of(PARAMETERS, 48_000)
     for one in (changed(design, "tracking", steady_gain=1.0), design):
         vibration = vibration_of(one, sound)[48_000:-12_000]
-        residuals.append(best_sinusoid(*thinned(vibration, 48_000), felt_hz(hz))[2])
-    # A share of 0.15 leaves 0.08 of white jitter's energy, 11 dB less; neighbouring windows
-    # overlap, so that theirs is not quite white.
+        residuals.append(
+            signals.best_sinusoid(*signals.thinned(vibration, 48_000), signals.felt_hz(hz))[2]
+        )
+    # A share of 0.15 takes 11 dB of white jitter; that of overlapping windows is not quite white.
     assert residuals[1] < residuals[0] - 6.0
 
 
 def test_a_clear_change_of_loudness_is_not_averaged_but_followed_at_once():
-    quiet, loud = tone(300, 0.5, 48_000, 0.1), tone(300, 1.0, 48_000, 0.4)[24_000:]
+    quiet, loud = signals.tone(300, 0.5, 48_000, 0.1), signals.tone(300, 1.0, 48_000, 0.4)[24_000:]
     # Without a seam: both are the same wave, so that one partial goes on through the change.
     design = LiveDesign.of(PARAMETERS, 48_000)
-    vibration = vibration_of(design, joined(quiet, loud))[design.tonal_latency_frames :]
-    strength = envelope(*thinned(vibration, 48_000))
+    vibration = vibration_of(design, signals.joined(quiet, loud))[design.tonal_latency_frames :]
+    strength = signals.envelope(*signals.thinned(vibration, 48_000))
     steady = strength[2_800:2_900].mean()
     # 30 ms (a window's half, a hop) after the change it stands within 5 % of its new level.
     assert strength[round(0.535 * 3_000)] == pytest.approx(steady, rel=0.05)

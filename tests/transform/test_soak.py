@@ -1,7 +1,5 @@
 """What takes minutes; `make soak` runs it, and the bench shows the last results."""
 
-from collections.abc import Callable
-
 import pytest
 
 from device.rig.parameters import Model
@@ -20,12 +18,9 @@ def kept(record: SoakRecord) -> SoakRecord:
 
 @pytest.mark.soak
 @pytest.mark.parametrize("soaked", [soak_scene, soak_tone])
-def test_a_million_hops_leave_nothing_in_memory_and_a_tone_as_loud_and_pure_as_at_first(
-    soaked: Callable[[], SoakRecord],
-) -> None:
+def test_a_million_hops_leave_nothing_in_memory_and_a_tone_as_loud_and_pure_as_at_first(soaked):
     record = kept(soaked())
-    assert record.hops is not None
-    assert record.hops >= HOPS
+    assert (record.hops or 0) >= HOPS
     assert record.passed, record
 
 
@@ -33,8 +28,7 @@ def test_a_million_hops_leave_nothing_in_memory_and_a_tone_as_loud_and_pure_as_a
 @pytest.mark.parametrize("model", ["linear", "nonlinear"])
 def test_over_a_hundred_million_samples_no_energy_creeps_up(model: Model) -> None:
     record = kept(soak_energy(model))
-    assert record.samples is not None
-    assert record.samples >= SAMPLES
+    assert (record.samples or 0) >= SAMPLES
     assert record.passed, record
 
 

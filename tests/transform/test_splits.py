@@ -6,32 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.config.profiles import parameters_of
 from audioflinger_hook.scenes.speech import speech
 from audioflinger_hook.transform import TransformParameters
-from tests.support.recordings import require_recordings
-from tests.support.signals import (
-    FORMS,
-    burst,
-    chirp,
-    columns,
-    five_tones,
-    identical,
-    in_blocks,
-    joined,
-    low_noise,
-    made,
-    one_sample,
-    played,
-    silence,
-    square,
-    tone,
-    white_noise,
-)
+from tests.support import signals
 
 ODD_RATE = 37_123
 """A prime: no window, hop or spectrum comes out even."""
@@ -52,7 +33,7 @@ WAYS: dict[str, dict[str, Any]] = {
 }
 
 every_way = pytest.mark.parametrize("way", WAYS)
-every_form = pytest.mark.parametrize("form", FORMS)
+every_form = pytest.mark.parametrize("form", signals.FORMS)
 
 
 @functools.cache
@@ -62,18 +43,18 @@ def busy(samplerate, seconds=1.0):
     Noise in the middle of the band and low noise around the image's threshold let neighbouring
     hops differ in whether they hold a peak at all, which a batch must not mix up.
     """
-    return joined(
-        silence(0.1, samplerate),
-        tone(300, 0.1, samplerate, 0.7),
+    return signals.joined(
+        signals.silence(0.1, samplerate),
+        signals.tone(300, 0.1, samplerate, 0.7),
         # Long enough for the ringing to end (0.4 s) and the form to fall asleep.
-        silence(0.62, samplerate),
-        low_noise(0.6, samplerate, 0.04, seed=1),
-        white_noise(0.2, samplerate, 0.4, seed=2),
-        burst(1_000, 0.05, 0.35, samplerate, 0.9),
-        one_sample(0.1, samplerate, 0.05),
-        low_noise(0.3, samplerate, 0.02, seed=3),
-        chirp(60, 11_000, 0.3, samplerate),
-        square(90, 0.1, samplerate),
+        signals.silence(0.62, samplerate),
+        signals.low_noise(0.6, samplerate, 0.04, seed=1),
+        signals.white_noise(0.2, samplerate, 0.4, seed=2),
+        signals.burst(1_000, 0.05, 0.35, samplerate, 0.9),
+        signals.one_sample(0.1, samplerate, 0.05),
+        signals.low_noise(0.3, samplerate, 0.02, seed=3),
+        signals.chirp(60, 11_000, 0.3, samplerate),
+        signals.square(90, 0.1, samplerate),
         speech(samplerate, np.random.default_rng(1), 0.42)[: 2 * samplerate].mean(axis=1),
     )[: round(seconds * samplerate)]
 
@@ -83,12 +64,12 @@ def stereo(samplerate, seconds=1.0):
     left = busy(samplerate, seconds)
     right = 0.7 * left[::-1]
     right[left.size // 3 : left.size // 2] = -left[left.size // 3 : left.size // 2]
-    return columns(left, right)
+    return signals.columns(left, right)
 
 
 @functools.cache
 def whole(way, samplerate, seconds):
-    return played(stereo(samplerate, seconds), samplerate, **WAYS[way])
+    return signals.played(stereo(samplerate, seconds), samplerate, **WAYS[way])
 
 
 def every(frames, total):
@@ -109,21 +90,20 @@ def every(frames, total):
 def test_blocks_of_any_one_size_give_the_bytes_of_one_block(way, samplerate, frames):
     seconds = 1.6 if frames == 1 else 4.8
     sound = stereo(samplerate, seconds)
-    cut = in_blocks(sound, every(frames, len(sound)), samplerate, **WAYS[way])
+    cut = signals.in_blocks(sound, every(frames, len(sound)), samplerate, **WAYS[way])
     assert whole(way, samplerate, seconds).any()
-    assert identical(cut, whole(way, samplerate, seconds))
+    assert signals.identical(cut, whole(way, samplerate, seconds))
 
 
 @every_way
 @given(seed=st.integers(0, 2**32 - 1), typical=st.sampled_from([3, 40, 700, 5_000, 60_000]))
 @settings(max_examples=6)
 def test_random_splits_give_the_bytes_of_one_block(way, seed, typical):
-    sound = stereo(16_000, 4.8)
-    rng = np.random.default_rng(seed)
+    sound, rng = stereo(16_000, 4.8), np.random.default_rng(seed)
     begin = rng.integers(max(1, len(sound) - BLOCKS_MAX * typical))  # so that small blocks fit in
     blocks = rng.exponential(typical, min(1 + len(sound) // typical, BLOCKS_MAX)).astype(int)
-    cut = in_blocks(sound, [begin, *blocks], 16_000, **WAYS[way])
-    assert identical(cut, whole(way, 16_000, 4.8))
+    cut = signals.in_blocks(sound, [begin, *blocks], 16_000, **WAYS[way])
+    assert signals.identical(cut, whole(way, 16_000, 4.8))
 
 
 @pytest.mark.sweep
@@ -138,88 +118,70 @@ def test_random_splits_give_the_bytes_of_one_block(way, seed, typical):
 def test_any_split_of_any_mix_gives_the_bytes_of_one_block(form, kinds, level, lengths, seed):
     # Levels at which hops with and without a strong low peak stand side by side in one batch.
     pieces = {
-        "silence": lambda index: silence(0.25, 16_000),
-        "noise": lambda index: white_noise(0.1, 16_000, 2 * level, seed + index),
-        "low": lambda index: low_noise(0.1, 16_000, level, seed + index),
-        "tone": lambda index: tone(60 * 1.3**index, 0.1, 16_000, level),
-        "tones": lambda index: five_tones(0.1, 16_000, level),
+        "silence": lambda index: signals.silence(0.25, 16_000),
+        "noise": lambda index: signals.white_noise(0.1, 16_000, 2 * level, seed + index),
+        "low": lambda index: signals.low_noise(0.1, 16_000, level, seed + index),
+        "tone": lambda index: signals.tone(60 * 1.3**index, 0.1, 16_000, level),
+        "tones": lambda index: signals.five_tones(0.1, 16_000, level),
     }
-    sound = joined(*(pieces[kind](index) for index, kind in enumerate(kinds[:10])))
-    cut = in_blocks(sound, lengths, 16_000, form=form)
-    assert identical(cut, played(sound, 16_000, form=form))
-
-
-@pytest.mark.sweep
-@every_form
-def test_recordings_in_blocks_give_the_bytes_of_one_block(form):
-    for path in require_recordings()[::3]:
-        sound, samplerate = soundfile.read(path, always_2d=True)
-        expected = played(sound, samplerate, form=form)
-        for frames in (256, 1_000):
-            cut = in_blocks(sound, every(frames, len(sound)), samplerate, form=form)
-            assert identical(cut, expected), path.name
+    sound = signals.joined(*(pieces[kind](index) for index, kind in enumerate(kinds[:10])))
+    cut = signals.in_blocks(sound, lengths, 16_000, form=form)
+    assert signals.identical(cut, signals.played(sound, 16_000, form=form))
 
 
 @pytest.mark.sweep
 @every_form
 def test_asleep_and_awake_again_gives_the_same_bytes_in_any_blocks(form):
     samplerate = 44_100
-    nap = silence(1.3, samplerate)
-    # High and with soft ends: the band-pass rings on so little that the last windows are heard
-    # only for what hops before them held.
-    chirrup = tone(5_000, 0.1, samplerate, 0.5) * np.hanning(round(0.1 * samplerate))
-    awake = (tone(200, 0.2, samplerate), white_noise(0.01, samplerate), chirrup)
-    sound = joined(nap, *(joined(one, nap) for one in awake), low_noise(0.2, samplerate, 0.03), nap)
-    expected = played(sound, samplerate, form=form)
+    nap = signals.silence(1.3, samplerate)
+    # High, with soft ends: the last windows are heard only for what hops before them held.
+    chirrup = signals.tone(5_000, 0.1, samplerate, 0.5) * np.hanning(round(0.1 * samplerate))
+    awake = (signals.tone(200, 0.2, samplerate), signals.white_noise(0.01, samplerate), chirrup)
+    sound = signals.joined(
+        nap,
+        *(signals.joined(one, nap) for one in awake),
+        signals.low_noise(0.2, samplerate, 0.03),
+        nap,
+    )
+    expected = signals.played(sound, samplerate, form=form)
     for frames in (97, 689, 690, 691, 20_000):
-        cut = in_blocks(sound, every(frames, sound.size), samplerate, form=form)
-        assert identical(cut, expected), f"blocks of {frames}"
+        cut = signals.in_blocks(sound, every(frames, sound.size), samplerate, form=form)
+        assert signals.identical(cut, expected), f"blocks of {frames}"
 
 
 @every_way
 def test_what_follows_finish_or_reset_is_a_new_stream(way):
     sound = stereo(16_000, 4.8)
-    transform = made(sound, 16_000, **WAYS[way])
+    transform = signals.made(sound, 16_000, **WAYS[way])
     for end in (transform.finish, transform.reset):
-        assert identical(
+        assert signals.identical(
             np.concatenate((transform.process(sound), transform.finish())), whole(way, 16_000, 4.8)
         )
         transform.process(sound[: len(sound) // 2])
         end()
-    assert identical(transform.process(sound), whole(way, 16_000, 4.8)[: len(sound)])
-
-
-@every_way
-@pytest.mark.parametrize("frames", [0, 1, 7, 256, 4_096])
-def test_each_block_gives_as_many_frames_as_it_takes(way, frames):
-    transform = made(stereo(48_000, 0.5), 48_000, **WAYS[way])
-    outputs = 2 if WAYS[way].get("per_channel") else 1
-    for first in range(0, 8_192, max(frames, 2_048)):
-        block = stereo(48_000, 0.5)[first : first + frames]
-        assert transform.process(block).shape == (frames, outputs)
-    assert transform.finish().shape == (transform.latency_frames, outputs)
+    assert signals.identical(transform.process(sound), whole(way, 16_000, 4.8)[: len(sound)])
 
 
 @every_way
 def test_the_layout_of_a_block_in_memory_changes_nothing(way):
     sound = stereo(48_000, 1.2).astype(np.float32)
-    expected = played(sound, 48_000, **WAYS[way])
-    wide = np.zeros((len(sound), 6), np.float32)
+    expected, wide = (
+        signals.played(sound, 48_000, **WAYS[way]),
+        np.zeros((len(sound), 6), np.float32),
+    )
     wide[:, [1, 4]] = sound
     # float64 holds every float32, so the type alone makes no difference.
-    exact = sound.astype(np.float64)
-    turned = sound[::-1].copy()[::-1]
+    exact, turned = sound.astype(np.float64), sound[::-1].copy()[::-1]
     mirrored = sound[:, ::-1].copy()[:, ::-1]
     for view in (np.asfortranarray(sound), wide[:, 1::3], turned, mirrored, exact):
-        assert identical(played(view, 48_000, **WAYS[way]), expected)
+        assert signals.identical(signals.played(view, 48_000, **WAYS[way]), expected)
 
 
 @every_form
 def test_a_block_is_not_written_to_and_may_be_reused_by_its_owner(form):
     sound = stereo(48_000, 1.0)
-    expected = played(sound, 48_000, form=form)
-    transform = made(sound, 48_000, form=form)
-    buffer = np.empty((480, 2))
+    expected = signals.played(sound, 48_000, form=form)
+    transform, buffer = signals.made(sound, 48_000, form=form), np.empty((480, 2))
     parts = []
     for first in range(0, len(sound), 480):
         buffer[:] = sound[first : first + 480]
@@ -230,15 +192,4 @@ def test_a_block_is_not_written_to_and_may_be_reused_by_its_owner(form):
         buffer[:] = np.nan
         played_now[:] = np.nan
     parts.append(transform.finish())
-    assert identical(np.concatenate(parts), expected)
-
-
-def test_two_transforms_at_once_do_not_touch_one_another():
-    sound, other = busy(48_000, 1.0), white_noise(1.0, 48_000)
-    one, two = made(sound, 48_000), made(other, 48_000)
-    parts = []
-    for first in range(0, sound.size, 1_000):
-        parts.append(one.process(sound[first : first + 1_000]))
-        two.process(other[first : first + 1_000])
-    parts.append(one.finish())
-    assert identical(np.concatenate(parts), played(sound, 48_000))
+    assert signals.identical(np.concatenate(parts), expected)

@@ -5,18 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from audioflinger_hook.transform import HapticTransform, TransformParameters
+from audioflinger_hook.transform import HapticTransform
 from audioflinger_hook.transform.reference import Superposition
-from tests.support.signals import (
-    chirp,
-    columns,
-    five_tones,
-    identical,
-    in_blocks,
-    played,
-    silence,
-    white_noise,
-)
+from tests.support import signals
 
 RATE = 48_000
 
@@ -43,11 +34,13 @@ def test_rounded_to_float32_every_sample_is_that_of_the_equation(frames, sampler
     hz = generator.uniform(10.0, top_hz, edges[-1])
     exact, quick = both_ways(superposition, weight, hz, edges)
     assert quick.shape == (len(counts), frames)
-    assert identical(single(quick), single(exact))
+    assert signals.identical(single(quick), single(exact))
     assert not quick[1].any()
 
 
-def test_sums_on_an_edge_of_float32_go_the_way_that_the_equation_goes(monkeypatch):
+def test_sums_on_an_edge_of_float32_go_as_the_equation_and_only_there_the_quick_way(
+    monkeypatch,
+):
     # One partial each, as strong as it takes to bring one frame half-way between two floats.
     frames, units = 2_229, 500
     generator = np.random.default_rng(5)
@@ -57,45 +50,33 @@ def test_sums_on_an_edge_of_float32_go_the_way_that_the_equation_goes(monkeypatc
     weight = (0.5 * (below.astype(float) + np.nextafter(below, single(9.0)))) / cosine
     superposition, edges = Superposition(frames, RATE), np.arange(units + 1)
     exact, quick = both_ways(superposition, weight, hz, edges)
-    assert identical(single(quick), single(exact))
+    assert signals.identical(single(quick), single(exact))
     monkeypatch.setattr(Superposition, "_redo", lambda *_: None)
     unsettled = superposition.single(weight, hz, edges)
     assert np.count_nonzero(single(unsettled) != single(exact)) > 0.1 * units
+    monkeypatch.setattr(Superposition, "single", lambda *_: pytest.fail("summed the quick way"))
+    assert HapticTransform(RATE, 1, form="reference").process(signals.white_noise(0.2, RATE)).any()
 
 
 @pytest.mark.parametrize("per_channel", [False, True])
 @pytest.mark.parametrize(
     "sound",
     [
-        white_noise(3.0, RATE),
-        five_tones(3.0, RATE),
-        chirp(20.0, 20_000.0, 3.0, RATE),
-        silence(0.5, RATE),
+        *(
+            signals.white_noise(3.0, RATE),
+            signals.five_tones(3.0, RATE),
+            signals.chirp(20.0, 20_000.0, 3.0, RATE),
+        ),
+        signals.silence(0.5, RATE),
     ],
     ids=["noise", "five tones", "chirp", "silence"],
 )
 def test_vibration_wanted_as_float32_is_the_reference_forms(sound, per_channel):
-    both = columns(sound, 0.3 * sound[::-1])
+    both = signals.columns(sound, 0.3 * sound[::-1])
     options = {"form": "reference", "per_channel": per_channel}
-    exact = played(both, RATE, **options)
+    exact = signals.played(both, RATE, **options)
     for blocksize in (1_000, 32_768):
         blocks = [blocksize] * (sound.size // blocksize)
-        quick = in_blocks(both, blocks, RATE, single=True, **options)
-        assert identical(single(quick), single(exact))
-
-
-def test_it_holds_with_every_partial_there_may_be():
-    parameters = TransformParameters(threshold_hz=0.001, partials_max=64, vibration_top_hz=400.0)
-    sound = white_noise(4.0, 22_050)
-    exact, quick = (
-        HapticTransform(22_050, 1, parameters, form="reference", single=rounded).process(sound)
-        for rounded in (False, True)
-    )
-    assert np.abs(exact).max() > 0.001
-    assert identical(single(exact), single(quick))
-    assert not identical(exact, quick)
-
-
-def test_unless_float32_is_asked_for_nothing_is_summed_the_quick_way(monkeypatch):
-    monkeypatch.setattr(Superposition, "single", lambda *_: pytest.fail("summed the quick way"))
-    assert HapticTransform(RATE, 1, form="reference").process(white_noise(0.2, RATE)).any()
+        quick = signals.in_blocks(both, blocks, RATE, single=True, **options)
+        assert signals.identical(single(quick), single(exact))
+        assert not (exact.any() and signals.identical(quick, exact))

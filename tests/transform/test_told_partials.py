@@ -21,7 +21,6 @@ def tones(*hertz, seconds=0.5):
 
 
 def struck_tones():
-    """Return silence, a struck tone, silence of an odd length, and another one."""
     struck = tone(300.0, 0.4, RATE, 0.5, 0.0) * np.exp(-8.0 * np.arange(19_200) / RATE)
     rests = [silence(frames / RATE, RATE) for frames in (4_801, 30_007, 20_000)]
     return joined(rests[0], struck, rests[1], 0.5 * struck, rests[2]).astype(np.float32)
@@ -40,8 +39,7 @@ def glides_of(transform, sound):
         rows.append(transform.take_glides())
         _ = transform.principal
     parts.append(transform.finish())
-    found = np.concatenate([*rows, transform.take_glides()])
-    return in_order(found), np.concatenate(parts)
+    return in_order(np.concatenate([*rows, transform.take_glides()])), np.concatenate(parts)
 
 
 def test_a_tone_is_told_with_the_vibration_it_is_mapped_to():
@@ -54,27 +52,22 @@ def test_a_tone_is_told_with_the_vibration_it_is_mapped_to():
     assert amplitude == pytest.approx(np.abs(vibration[-4_800:]).max(), rel=0.05)
 
 
-def test_silence_and_a_reset_tell_nothing():
+def test_silence_a_reset_and_the_reference_form_tell_nothing():
     transform = opened(RATE, 1)
     transform.process(joined(tones(440.0), silence(1.0, RATE)))
     assert transform.principal == ()
     transform.process(tones(440.0))
     transform.reset()
     assert transform.principal == ()
-
-
-def test_the_reference_form_tells_and_records_nothing():
     transform = opened(RATE, 1, "reference")
     transform.process(tones(440.0))
-    assert transform.principal == ()
-    assert transform.take_glides().shape == (0, len(GLIDE_COLUMNS))
+    assert (transform.principal, transform.take_glides().shape) == ((), (0, len(GLIDE_COLUMNS)))
 
 
 @pytest.mark.parametrize("per_channel", [False, True])
 def test_the_core_tells_of_every_hop_what_its_oracle_does(per_channel):
     sound = columns(tones(100.0, 350.0, 950.0, 1350.0, 4200.0), tones(200.0, 500.0))
-    transform = opened(RATE, 2, per_channel=per_channel)
-    begin = 0
+    transform, begin = opened(RATE, 2, per_channel=per_channel), 0
     for end, told in vibration_of(sound, RATE, per_channel=per_channel).told:
         if end <= len(sound):
             transform.process(sound[begin:end])

@@ -39,6 +39,7 @@ SOUND = Path("/tmp/sound.wav")
 RATE_HZ = 48_000
 POLL_S = 0.05
 LIMIT_S = 1_800.0
+HOUR_S = 3_600.0
 
 
 def devices(count: int) -> list[dict[str, Any]]:
@@ -89,7 +90,7 @@ def mixed(hw: str) -> list[dict[str, Any]]:
     """What our own mixer reads and sets, beside what ALSA's says of the same."""
     card = hw.removeprefix("hw:").partition(",")[0]
     told = []
-    with CardMixer(int(card)) as mixer:
+    with closing(CardMixer(int(card))) as mixer:
         (switch,) = mixer.switches
         mutes = []
         for muted in (True, False):
@@ -99,12 +100,8 @@ def mixed(hw: str) -> list[dict[str, Any]]:
             decibels = volume.decibels
             assert decibels is not None
             set_db = mixer.set_volume_db(volume, 6.0)
-            alsa = subprocess.run(
-                ["amixer", "-c", card, "cget", f"name={volume.name}"],
-                capture_output=True,
-                text=True,
-                check=True,
-            ).stdout
+            asks = ["amixer", "-c", card, "cget", f"name={volume.name}"]
+            alsa = subprocess.check_output(asks, text=True)
             levels = re.search(r"min=(-?[\d.]+)dB,max=(-?[\d.]+)dB", alsa)
             steps = re.search(r": values=([\d,]+)", alsa)
             assert levels, alsa
@@ -187,7 +184,7 @@ def count_real_time(process: int) -> int:
 
 
 def pulled(folder: Path) -> dict[str, Any]:
-    """The card that plays is pulled out and plugged into another port."""
+    """The card that plays is pulled out and plugged into another port an hour later."""
     (device,) = devices(1)
     full_volume(device["hw"][0])
     name = device["device"].partition("@")[0]
@@ -199,18 +196,20 @@ def pulled(folder: Path) -> dict[str, Any]:
     run.wait(lambda status: status["state"] != "running")
     time.sleep(1.0)
     run.process.send_signal(signal.SIGSTOP)  # or it would play before the volume is set
+    time.clock_settime(time.CLOCK_REALTIME, time.time() + HOUR_S)
     order(folder, "plug", "dac", "3")
     (again,) = await_cards(1)
     full_volume(hw_names(again)[0])
     run.process.send_signal(signal.SIGCONT)
-    run.wait(lambda status: status["state"] == "running")
+    went_on_s = time.monotonic()
+    plays_s = run.wait(lambda status: status["state"] == "running")
     time.sleep(3.0)
-    last = run.look()
-    real_time = count_real_time(run.process.pid)
+    last, real_time = run.look(), count_real_time(run.process.pid)
     run.end()
     return {
         "ports": [device["port"], again.port],
         "real_time_threads": [first, real_time],
+        "again_s": plays_s - went_on_s,
         "states": run.states,
         "last": last,
     }
@@ -254,11 +253,9 @@ def unsettable(folder: Path) -> dict[str, Any]:
     told = {}
     for which, has_volume in (("none", False), ("kept", True)):
         descriptors = usb_builder.device(product=0xDAC1) + dac_1(volume=has_volume)
-        volumes = {1: -256, 2: -256} if has_volume else {}
-        dac = SoftwareDac(
-            descriptors, 1, ["Soft", which], volumes=volumes, mutes={0: 1}, keeps_volume=True
-        )
-        taken = bytearray()
+        more: dict[str, Any] = {"volumes": {1: -256, 2: -256} if has_volume else {}}
+        more |= {"mutes": {0: 1}, "keeps_volume": True}
+        dac, taken = SoftwareDac(descriptors, 1, ["Soft", which], **more), bytearray()
         with closing(VirtualDac(dac, taken.extend)):
             runs = []
             for level in ("-30", "off"):
@@ -293,16 +290,11 @@ def configurations(folder: Path) -> dict[str, Any]:
     """A DAC in its second configuration, and one of class 3."""
     told = {}
     both = (("second", 1, two_configurations()), ("class 3", 3, headphones_3()))
+    more: dict[str, Any] = {"samplerates": [48_000], "volumes": {0: 0, 1: 0, 2: 0}}
     for name, uac, configuration in both:
         device = usb_builder.device(product=0xDAC1, configurations=2 if uac == 1 else 1)
         # Requests of class 3 are those of class 2.
-        dac = SoftwareDac(
-            device + configuration,
-            min(uac, 2),
-            ["Soft", name],
-            samplerates=[48_000],
-            volumes={0: 0, 1: 0, 2: 0},
-        )
+        dac = SoftwareDac(device + configuration, min(uac, 2), ["Soft", name], **more)
         taken = bytearray()
         with closing(VirtualDac(dac, taken.extend)):
             if uac == 1:

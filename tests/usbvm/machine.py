@@ -98,15 +98,9 @@ class Machine:
         """
         shared = self._shared
         (shared / "orders").mkdir()
-        (shared / "start").write_text(
-            _START.format(
-                kernel=KERNEL,
-                bus=BUS_OF_QEMU if self._cards else BUS_OF_SOFTWARE,
-                root=ROOT,
-                shared=shared,
-                command=" ".join(f"'{word}'" for word in command),
-            )
-        )
+        bus, words = BUS_OF_QEMU if self._cards else BUS_OF_SOFTWARE, map("'{}'".format, command)
+        inside = {"kernel": KERNEL, "bus": bus, "root": ROOT, "shared": shared}
+        (shared / "start").write_text(_START.format(**inside, command=" ".join(words)))
         deadline_s = time.monotonic() + limit_s
         with (shared / "qemu.log").open("wb") as log:
             process = subprocess.Popen(self._arguments(), stdout=log, stderr=log)
@@ -183,16 +177,9 @@ class Machine:
                 self._ask("device_del", id=name)
             else:
                 (port,) = rest
-                self._ask(
-                    "device_add",
-                    driver="usb-audio",
-                    buffer=4 * BUFFER_FRAMES,
-                    audiodev=f"{name}-again",
-                    id=name,
-                    serial=SERIAL,
-                    bus="usb.0",
-                    port=port,
-                )
+                card: dict[str, Any] = {"driver": "usb-audio", "buffer": 4 * BUFFER_FRAMES}
+                card |= {"bus": "usb.0", "serial": SERIAL, "id": name, "port": port}
+                self._ask("device_add", **card, audiodev=f"{name}-again")
             order.unlink()
 
 
@@ -207,28 +194,18 @@ def first_files(folder: Path) -> Path:
     shutil.copy(busybox, root / "bin/busybox")
     found: dict[str, None] = {}
     for module in MODULES_AT_START:
-        listed = subprocess.run(
-            ["/sbin/modprobe", "-d", str(KERNEL), "-S", release, "--show-depends", module],
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        lines = (line.split() for line in listed.stdout.splitlines())
+        asks = ["/sbin/modprobe", "-d", str(KERNEL), "-S", release, "--show-depends", module]
+        listed = subprocess.check_output(asks, text=True)
+        lines = (line.split() for line in listed.splitlines())
         found |= {words[1]: None for words in lines if words[0] == "insmod"}
     for number, path in enumerate(found):
         shutil.copy(path, root / f"modules/{number:02}-{Path(path).name}")
     (root / "init").write_text(_INIT)
     (root / "init").chmod(0o755)
-    names = sorted(str(path.relative_to(root)) for path in root.rglob("*"))
-    packed = subprocess.run(
-        ["cpio", "-o", "-H", "newc", "--quiet"],
-        input="\n".join(names).encode() + b"\n",
-        cwd=root,
-        capture_output=True,
-        check=True,
-    )
+    names = "".join(f"{path.relative_to(root)}\n" for path in sorted(root.rglob("*")))
+    packing = ["cpio", "-o", "-H", "newc", "--quiet"]
     image = folder / "initrd.cpio"
-    image.write_bytes(packed.stdout)
+    image.write_bytes(subprocess.check_output(packing, input=names.encode(), cwd=root))
     shutil.rmtree(root)
     return image
 

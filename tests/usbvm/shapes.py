@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from tests.support import usb_builder as usb
-from tests.support.usb_shapes import PLAIN_FUNCTION_2, PLAY_2, STEREO, hid
+from tests.support.usb_shapes import PLAIN_FUNCTION_2, PLAY_2, adaptive_1, basic_3, hid
 
 PCM, PCM8 = 1, 2
 HEADPHONE_PROFILE = 0x21
@@ -14,16 +14,9 @@ MILLISECOND_2 = 4
 def dac_1(volume: bool = True, subslot: int = 2, rates: Sequence[int] = (44_100, 48_000)) -> bytes:
     """1.0, full speed, adaptive: it takes what comes. subslot: bytes of a sample."""
     on_channel = usb.VOLUME_1 if volume else 0
-    units = usb.header_1(
-        [1],
-        usb.input_1(1, usb.STREAMING_TERMINAL, 2, STEREO),
-        usb.feature_1(2, 1, [usb.MUTE_1, on_channel, on_channel]),
-        usb.output_1(3, usb.SPEAKER, 2),
-    )
-    play = usb.general_1(1, PCM8 if subslot == 1 else PCM)
-    play += usb.format_1(2, subslot, 8 * subslot, rates)
-    stream = usb.stream(1, usb.UAC1, play, usb.audio_endpoint_1(1, usb.ADAPTIVE, 200))
-    return usb.configuration(usb.control(0, usb.UAC1, units), stream)
+    feature = usb.feature_1(2, 1, [usb.MUTE_1, on_channel, on_channel])
+    form, data = usb.format_1(2, subslot, 8 * subslot, rates), usb.audio_endpoint_1(1, 9, 200)
+    return usb.configuration(*adaptive_1(form, feature, data, tag=PCM8 if subslot == 1 else PCM))
 
 
 def dac_2() -> bytes:
@@ -36,26 +29,15 @@ def dac_2() -> bytes:
 
 def game_pad() -> bytes:
     """1.0, full speed, as a DualSense: a speaker on channels 1 and 2, coils on 3 and 4."""
-    units = usb.header_1(
-        [1],
-        usb.input_1(1, usb.STREAMING_TERMINAL, 4, 0x33),
-        usb.feature_1(2, 1, [usb.MUTE_1 | usb.VOLUME_1, 0, 0, 0, 0]),
-        usb.output_1(3, usb.SPEAKER, 2),
-    )
-    play = usb.general_1(1) + usb.format_1(4, 2, 16, [48_000])
-    stream = usb.stream(1, usb.UAC1, play, usb.audio_endpoint_1(1, usb.ADAPTIVE, 392))
-    return usb.configuration(usb.control(0, usb.UAC1, units), stream)
+    terminal = usb.input_1(1, usb.STREAMING_TERMINAL, 4, 0x33)
+    feature = usb.feature_1(2, 1, [usb.MUTE_1 | usb.VOLUME_1, 0, 0, 0, 0])
+    form, data = usb.format_1(4, 2, 16, [48_000]), usb.audio_endpoint_1(1, usb.ADAPTIVE, 392)
+    return usb.configuration(*adaptive_1(form, feature, data, terminal))
 
 
 def headphones_3() -> bytes:
     """3.0 with the basic profile of headphones, high speed: 16 bits, stereo, 48 kHz."""
-    data = usb.endpoint(1, usb.ADAPTIVE, 192, MILLISECOND_2)
-    return usb.configuration(
-        usb.association(0, 2, usb.UAC3, HEADPHONE_PROFILE),
-        usb.control(0, usb.UAC3),
-        usb.streaming(1, 0, usb.UAC3),
-        usb.streaming(1, 1, usb.UAC3, data),
-    )
+    return basic_3(HEADPHONE_PROFILE, MILLISECOND_2)
 
 
 def two_configurations() -> bytes:

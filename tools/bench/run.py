@@ -74,10 +74,7 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
 
 
 def run_bench(
-    quick: bool,
-    progress: Progress | None = None,
-    *,
-    effort: Effort | None = None,
+    quick: bool, progress: Progress | None = None, *, effort: Effort | None = None
 ) -> BenchReport:
     """Measure all sections on this machine and return the report.
 

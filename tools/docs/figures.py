@@ -62,9 +62,7 @@ SENTENCES = {
     "docs/get-started/films.md": (
         "reaches half of its peak {burst_ms} ms after the start of the burst",
         "On PulseAudio, the delay is about {pulse_ms} ms",
-        "--offset-ms=-{pulse_ms}",
     ),
-    "docs/troubleshooting.md": ("cushion run --drop-in --offset-ms=-{pulse_ms}",),
     "docs/get-started/gamer.md": (
         "With the profile `game` on PipeWire, the vibration follows {game_ms} ms after its sound",
     ),

@@ -1,9 +1,7 @@
 #include "actuator.h"
 #include "../../transform/native/exact.h"
 
-#define LEVEL_FADE_S 0.01 /* avoids a click when the level changes */
-#define TAP_FADE_S 0.02   /* cross-fade after a change of source or delay */
-#define AUDIBLE_S 0.04
+#define FADE_S 0.04 /* of a change of level, source, delay or audibility */
 #define DAMPING_CHECK_S 0.05
 #define DOSE_MAX 1e30 /* replaces an invalid or larger integral, and exceeds every cap */
 #define DAY_S 28800.0
@@ -136,21 +134,15 @@ static double ramp_now(const Ramp *ramp)
 {
     if (ramp->done == ramp->frames)
         return ramp->to;
-    return ramp->from + (ramp->to - ramp->from) * ((double)ramp->done / (double)ramp->frames);
-}
-
-static void ramp_to(Ramp *ramp, double value)
-{
-    if (value == ramp->to)
-        return;
-    ramp->from = ramp_now(ramp);
-    ramp->to = value;
-    ramp->done = 0;
+    return ramp->from + (ramp->to - ramp->from) * smooth_step((double)ramp->done / (double)ramp->frames);
 }
 
 INLINED double ramp_step(Ramp *ramp)
 {
-    ramp->done += ramp->done < ramp->frames;
+    if (ramp->done < ramp->frames)
+        ramp->done++;
+    else if (ramp->wanted != ramp->to)
+        *ramp = (Ramp){ramp->to, ramp->wanted, ramp->wanted, 1, ramp->frames};
     return ramp_now(ramp);
 }
 
@@ -186,22 +178,15 @@ void actuator_set(Actuator *a, TapPoint tap, double factor, int audible, int at_
 {
     const double open = audible ? 1.0 : 0.0;
     a->wanted_tap = tap;
-    ramp_to(&a->level, factor);
-    ramp_to(&a->audible, open);
+    a->level.wanted = factor;
+    a->audible.wanted = open;
     if (!at_once)
         return;
-    const size_t level_frames = frames_in(LEVEL_FADE_S, a->samplerate);
-    const size_t open_frames = frames_in(AUDIBLE_S, a->samplerate);
+    const size_t frames = frames_in(FADE_S, a->samplerate);
     a->tap = a->next_tap = tap;
-    a->tap_fade_frames = a->tap_faded = frames_in(TAP_FADE_S, a->samplerate);
-    a->level = (Ramp){factor, factor, level_frames, level_frames};
-    a->audible = (Ramp){open, open, open_frames, open_frames};
-}
-
-/* Return a cubic that rises from 0 at x = 0 to 1 at x = 1, with a slope of 0 at both ends. */
-INLINED double smooth_step(double x)
-{
-    return x * x * (3.0 - 2.0 * x);
+    a->tap_fade_frames = a->tap_faded = frames;
+    a->level = (Ramp){factor, factor, factor, frames, frames};
+    a->audible = (Ramp){open, open, open, frames, frames};
 }
 
 /* Return the delayed source times the level. A change of source or delay starts a cross-fade after the
@@ -255,7 +240,7 @@ void actuator_process(Actuator *a, const History *history, float *out, size_t st
         }
         const double open = ramp_step(&a->audible);
         if (open != 1.0)
-            sample *= smooth_step(open);
+            sample *= open;
         *out = (float)sample;
     }
 }
@@ -276,13 +261,20 @@ void actuator_report(const Actuator *a, ActuatorReadings *r)
 
 static double usable_sum(double sum) { return sum >= 0.0 && sum < DOSE_MAX ? sum : DOSE_MAX; }
 
-void actuator_set_safety(Actuator *a, const ActuatorSafety *safety)
+void actuator_set_temperatures(Actuator *a, const ActuatorSafety *safety)
 {
     if (!a->protection)
         return;
     const double ambient_c = a->design->protection.ambient_c;
     protection_set_temperatures(a->protection, safety->coil_c - ambient_c,
                                 safety->magnet_c - ambient_c);
+}
+
+void actuator_set_safety(Actuator *a, const ActuatorSafety *safety)
+{
+    if (!a->protection)
+        return;
+    actuator_set_temperatures(a, safety);
     const CoreDose dose = safety->dose, sums = {usable_sum(dose.time_s), usable_sum(dose.squares),
                                                 usable_sum(dose.fourths), usable_sum(dose.above)};
     exposure_set_sums(&a->exposure, sums);

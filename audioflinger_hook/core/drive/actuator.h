@@ -62,9 +62,10 @@ typedef struct {
     size_t source, delay;
 } TapPoint;
 
-/* A factor that changes linearly. */
+/* A factor that changes along `smooth_step`. A change waits until the one before has ended: cut short, that
+ * would click. */
 typedef struct {
-    double from, to;
+    double from, to, wanted;
     size_t done, frames; /* done == frames: `to` is reached */
 } Ramp;
 
@@ -95,6 +96,9 @@ void actuator_process(Actuator *actuator, const History *history, float *out, si
                       size_t frames);
 
 void actuator_report(const Actuator *actuator, ActuatorReadings *readings);
+
+/* Set the temperatures, such as after a rest. */
+void actuator_set_temperatures(Actuator *actuator, const ActuatorSafety *safety);
 
 /* Restore saved temperatures and doses. */
 void actuator_set_safety(Actuator *actuator, const ActuatorSafety *safety);

@@ -1,7 +1,5 @@
 """An input that captures the stream of each application before the server mixes the streams."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import dataclass
 from functools import partial
@@ -19,6 +17,7 @@ from device.server import AppCaptures, PulseConnection, ServerSnapshot
 from device.server.app_capture import AppCapture, EndReason
 from device.server.app_rules import app_name
 from device.server.identity import default_monitor
+from device.server.left_out import LeftOut, microphones_of
 from device.server.snapshot import Sink, Stream
 from device.server.tap_volume import TapVolume, muted_sink
 from device.stream import AudioPriority
@@ -145,6 +144,7 @@ class ApplicationsInput(Input):
         if config.rules is None:
             return False
         self._rules, self.address = config.rules, _address(config)
+        self._left_out = config.left_out
         self._of_default_sink = config.tap.kind == "default"
         return True
 
@@ -155,7 +155,12 @@ class ApplicationsInput(Input):
         default sink are captured. NotFoundError: no default sink can be captured.
         """
         assert snapshot is not None
-        streams = self._rules.select(snapshot, device)
+        microphones = microphones_of(snapshot)
+        streams = tuple(
+            stream
+            for stream in self._rules.select(snapshot, device)
+            if not self._left_out.why(stream, microphones)
+        )
         sink = ""
         if self._of_default_sink:
             sink = default_monitor(snapshot, device).monitor_of or ""
@@ -176,7 +181,7 @@ class ApplicationsInput(Input):
         """See `Input`."""
         return frozenset(stream.index for stream in self._found.streams if not stream.corked)
 
-    def volume_db(self, snapshot: ServerSnapshot) -> float:
+    def volume_db(self, snapshot: ServerSnapshot, left_out: LeftOut | None = None) -> float:
         """Return the volume in dB of the captured streams; see `TapVolume`."""
         return self._volume.follow(snapshot, self.players(snapshot))
 
@@ -229,12 +234,11 @@ class ApplicationsInput(Input):
             capture = captures.open(
                 stream.index, voices.samplerate, voices.channels, partial(self._feed.push, voice)
             )
-        except NotFoundError:  # the stream has ended meanwhile
+        except (LostError, NotFoundError) as error:
             voices.remove(voice)
-            return
-        except LostError:
-            voices.remove(voice)
-            raise
+            if isinstance(error, LostError):
+                raise
+            return  # the stream has ended meanwhile
         self._open[stream.index] = capture, voice
 
     def _end(self, index: int) -> None:

@@ -1,13 +1,12 @@
 """Interface of all inputs, and the base class of inputs and outputs."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Protocol
 
 from audioflinger_hook.daemon.run_config import RunConfig
 from device.server import PulseConnection, ServerSnapshot
+from device.server.left_out import LeftOut
 
 NOTHING = "nothing plays"  # message for the user while the daemon is idle
 
@@ -30,7 +29,7 @@ class AudioNode(Protocol):
 
 @dataclass(frozen=True)
 class FixedNode:
-    """An `AudioNode` that is always available."""
+    """An `AudioNode` that does not change."""
 
     name: str
     samplerate: int
@@ -106,8 +105,11 @@ class Input(Endpoint):
         """Message for the user: why no sound arrives while the daemon is idle."""
         return NOTHING
 
-    def volume_db(self, snapshot: ServerSnapshot) -> float:
-        """Return the volume in dB that the server applied to the captured sound, 0 if unknown."""
+    def volume_db(self, snapshot: ServerSnapshot, left_out: LeftOut | None = None) -> float:
+        """Return the volume in dB that the server applied to the captured sound, 0 if unknown.
+
+        left_out: which streams are not captured.
+        """
         return 0.0
 
     def monitor_db(self, snapshot: ServerSnapshot) -> float:

@@ -82,7 +82,7 @@ class _Player:
         self.error: Exception | None = None
         self.ended = False
         self._tap, self._feed, self._engine = tap, feed, engine
-        self._played = FrameTime(engine.samplerate)
+        self._played = FrameTime()
         self._silence = np.zeros((BLOCK_FRAMES, engine.drive.outputs), np.float32)
         self._tail: Float32Array | None = None
         self._in_lead_in = True

@@ -1,7 +1,5 @@
 """An input that captures the monitor of a named sink or of the default sink."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -16,6 +14,7 @@ from device.layouts import order_from_alsa
 from device.server import PulseConnection, ServerSnapshot
 from device.server.forwarding import reachable_sinks
 from device.server.identity import default_monitor, find_tagged, is_cushion_stream, monitor_of
+from device.server.left_out import LeftOut
 from device.server.snapshot import Source
 from device.server.tap_volume import TapVolume, monitor_volume_db, muted_sink
 from device.stream import AudioPriority, CaptureStream
@@ -41,13 +40,11 @@ class SinkInput(Input):
         pcm: Pcm,
         states: StateKeeper,
         receiver: FrameReceiver,
-        *,
-        block_frames: int = BLOCK_FRAMES,
         priority: AudioPriority | None = None,
         on_heard: Callable[[], None] = lambda: None,
     ) -> None:
         super().__init__(str(address))
-        self.block_frames = block_frames
+        self.block_frames = BLOCK_FRAMES
         self._tap, self._pcm, self._states, self._receiver = address, pcm, states, receiver
         self._priority, self._on_heard = priority, on_heard
         self._heard = self._retargeted = False
@@ -117,16 +114,15 @@ class SinkInput(Input):
         """Return the indexes of other programs' streams that play to the sink."""
         if snapshot is None or self._found is None:
             return frozenset()
-        sink = self._found.monitor_of
-        return frozenset(
-            stream.index
-            for stream in snapshot.sink_inputs
-            if stream.device_name == sink and not stream.corked and not is_cushion_stream(stream)
-        )
+        playing = snapshot.playing_to(self._found.monitor_of)
+        return frozenset(stream.index for stream in playing if not is_cushion_stream(stream))
 
-    def volume_db(self, snapshot: ServerSnapshot) -> float:
+    def volume_db(self, snapshot: ServerSnapshot, left_out: LeftOut | None = None) -> float:
         """Return the volume in dB that stream, sink and monitor apply to the captured sound."""
-        return self._volume.follow(snapshot, self.players(snapshot), self._found)
+        players = self.players(snapshot)
+        if left_out is not None:
+            players -= left_out.of(snapshot)
+        return self._volume.follow(snapshot, players, self._found)
 
     def monitor_db(self, snapshot: ServerSnapshot) -> float:
         """Return the volume in dB that sink and monitor apply to the captured sound."""

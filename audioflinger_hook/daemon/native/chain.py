@@ -1,20 +1,20 @@
 """Runs the plugin in PipeWire's graph, in a separate process."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 
 from audioflinger_hook.core import library_path as plugin_path
+from audioflinger_hook.core.structures import Readings
 from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.native.plan import ChainPlan
 from audioflinger_hook.daemon.native.taps import OUT, ChainEnds
-from audioflinger_hook.drive.drive import driven_rigs
+from audioflinger_hook.drive.drive import DrivenRig, driven_rigs
 from device.drive.design import DriveDesign
 from device.errors import InternalError, LostError, NotFoundError
 from device.process import ends_with_us
@@ -27,6 +27,9 @@ PLUGIN = "haptic_cushion: "  # prefix of the plugin's messages
 LOG_BYTES = 2_000  # number of bytes that are read from the end of the log
 
 _numbers = count(1)
+
+# Sets the gains of a chain and the initial states of a design's rigs.
+Prepare = Callable[["Chain", "ChainDesign"], None]
 
 _CONFIG = """\
 # Written by `cushion run`; it is removed when the run ends.
@@ -75,12 +78,28 @@ _REALTIME = (
 )
 
 
+@dataclass(frozen=True)
+class ChainDesign:
+    """A plan, its number in the chain, and the rigs that the core drives for it."""
+
+    plan: ChainPlan
+    number: int
+    rigs: tuple[DrivenRig | None, ...]
+    readings: Readings
+
+    @property
+    def has_run(self) -> bool:
+        """Whether the plugin has processed any frame with this design."""
+        return bool(self.readings.frames)
+
+
 class Chain:
     """Runs the plugin in a new process `pipewire`. The plugin's nodes have no links at first.
 
-    prepare: sets gains and the rigs' states before the process starts. page: memory shared with the
-    plugin. tap, vibration: names of the input and output node. NotFoundError: the program pipewire
-    is missing. InternalError: a file cannot be written, or the process cannot be started.
+    prepare: sets gains and the rigs' states before a design is used. page: memory shared with the
+    plugin. tap, vibration: names of the input and output node. design: the design that plays.
+    wanted: the design that plays or will play. NotFoundError: the program pipewire is missing.
+    InternalError: a file cannot be written, or the process cannot be started.
     """
 
     def __init__(
@@ -88,23 +107,22 @@ class Chain:
         plan: ChainPlan,
         drives: Sequence[DriveDesign | None],
         folder: Path,
-        prepare: Callable[[Chain], None],
+        prepare: Prepare,
         *,
         realtime: bool,
     ) -> None:
-        self.plan = plan
+        self._prepare = prepare
+        self._refuses = False
         self.name = f"{NAME}-{os.getpid()}-{next(_numbers)}"
         self.tap, self.vibration = f"{self.name}.tap", f"{self.name}.vibration"
-        ends = ("conf", "design", "page", "log")
+        ends = ("conf", "design", "page", "log", "changes")
         self._files = files = {end: folder / f"{self.name}.{end}" for end in ends}
         self._process: subprocess.Popen[bytes] | None = None
         try:
-            files["design"].write_bytes(plan.design(drives))
-            files["conf"].write_text(self._config(realtime), "utf-8")
+            os.mkfifo(files["changes"], 0o600)
             self.page = Page(files["page"], plan.tap_channels, plan.outputs, plan.actuators)
-            controls, readings = self.page.controls, self.page.readings
-            self.rigs = driven_rigs(drives, controls, readings, plan.columns)
-            prepare(self)
+            self.design = self.wanted = self._prepared(plan, drives, 0)
+            files["conf"].write_text(self._config(realtime), "utf-8")
             with files["log"].open("wb") as log:
                 self._process = subprocess.Popen(
                     ["pipewire", "-c", str(files["conf"])],
@@ -112,6 +130,7 @@ class Chain:
                     | {
                         "HAPTIC_CUSHION_DESIGN": str(files["design"]),
                         "HAPTIC_CUSHION_PAGE": str(files["page"]),
+                        "HAPTIC_CUSHION_CHANGES": str(files["changes"]),
                     },
                     stdin=subprocess.DEVNULL,
                     stdout=log,
@@ -127,6 +146,65 @@ class Chain:
         except OSError as error:
             self.close()
             raise InternalError(f"cannot start the native engine in {folder}: {error}") from error
+
+    @property
+    def plan(self) -> ChainPlan:
+        """The plan that plays or will play."""
+        return self.wanted.plan
+
+    @property
+    def rigs(self) -> tuple[DrivenRig | None, ...]:
+        """The rigs that the core drives now."""
+        return self.design.rigs
+
+    @property
+    def is_changing(self) -> bool:
+        """Whether the plugin has not yet changed to the wanted design."""
+        return self.design is not self.wanted
+
+    def can_become(self, plan: ChainPlan) -> bool:
+        """Whether this process can play the plan, because it needs the same ports and rate."""
+        return not self._refuses and plan.node == self.plan.node
+
+    def become(self, plan: ChainPlan, drives: Sequence[DriveDesign | None]) -> None:
+        """Let the plugin cross-fade to another plan, if no change is under way."""
+        try:
+            self.wanted = self._prepared(plan, drives, self.design.number + 1)
+            self.page.layout.wanted = self.wanted.number
+            file = os.open(self._files["changes"], os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+            try:
+                os.write(file, b"\0")
+            finally:
+                os.close(file)
+        except OSError:  # the plugin does not listen, or the disk is full
+            self._refuse()
+
+    def note_change(self) -> None:
+        """Detect that the plugin plays the wanted design, or refuses it."""
+        if not self.is_changing:
+            return
+        if self.page.layout.playing == self.wanted.number:
+            self._design_file(self.design.number).unlink(missing_ok=True)
+            self.design = self.wanted
+        elif self.page.layout.refused == self.wanted.number:
+            self._refuse()
+
+    def _refuse(self) -> None:
+        self._refuses, self.wanted = True, self.design
+
+    def _prepared(
+        self, plan: ChainPlan, drives: Sequence[DriveDesign | None], number: int
+    ) -> ChainDesign:
+        self._design_file(number).write_bytes(plan.design(drives))
+        bank = self.page.prepare(number, plan.outputs, plan.actuators)
+        rigs = driven_rigs(drives, bank.controls, bank.readings, plan.columns)
+        design = ChainDesign(plan, number, rigs, bank.readings)
+        self._prepare(self, design)
+        return design
+
+    def _design_file(self, number: int) -> Path:
+        first = self._files["design"]
+        return first.with_name(f"{first.name}.{number}") if number else first
 
     @property
     def process_id(self) -> int:
@@ -167,7 +245,8 @@ class Chain:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-        for path in self._files.values():
+        designs = self._files["design"].parent.glob(f"{self.name}.design.*")
+        for path in (*self._files.values(), *designs):
             with suppress(OSError):
                 path.unlink(missing_ok=True)
 

@@ -1,14 +1,12 @@
 """Starts, replaces and ends chains; a chain is a process with the plugin in PipeWire's graph."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from audioflinger_hook.daemon.native.chain import NAME, Chain, has_realtime
-from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns
+from audioflinger_hook.daemon.native.chain import NAME, Chain, ChainDesign, has_realtime
+from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns, drives_of
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.drive.drive import DrivenRig
@@ -85,12 +83,14 @@ class RunningChain:
             self._linked_frames = self.chain.page.frames
 
     def is_settled(self, now_s: float) -> bool:
-        """Whether the chain is linked, and has once been linked for SETTLED_FRAMES or SETTLED_S.
+        """Whether the chain is linked, and once was for SETTLED_FRAMES or SETTLED_S and its delay.
 
         A playing sound begins abruptly in a new chain; without a wait, it would feel like a knock.
         """
-        heard = self.chain.page.frames - self._linked_frames >= SETTLED_FRAMES
-        if self.is_linked and (heard or now_s - self.linked_s > SETTLED_S):
+        delay_frames = self.chain.page.delay_frames
+        heard = self.chain.page.frames - self._linked_frames >= SETTLED_FRAMES + delay_frames
+        longest_s = SETTLED_S + delay_frames / self.chain.plan.samplerate
+        if self.is_linked and (heard or now_s - self.linked_s > longest_s):
             self.has_settled = True
         return self.is_linked and self.has_settled
 
@@ -114,7 +114,7 @@ class Chains:
     ) -> None:
         self._config, self._folder = config, folder
         self._restore, self._designs = restore, designs
-        self._sound_gain = 1.0
+        self._sound_gain, self._offset_s = 1.0, 0.0
         self._has_restarted = False
         self.problem = ""
         self.backoff = Backoff(longest_s=START_WAIT_S)
@@ -133,7 +133,13 @@ class Chains:
         """Apply another config's gains and delays to the running chains."""
         self._config = config
         for running in self.running:
-            set_actuators(running.chain, config)
+            self._set_actuators(running.chain, running.chain.design)
+
+    def set_offset(self, offset_s: float) -> None:
+        """Set the delay of all actuators in seconds."""
+        if offset_s != self._offset_s:
+            self._offset_s = offset_s
+            self.follow(self._config)
 
     def set_sound_gain(self, gain: float) -> None:
         """Set the gain of the tapped sound."""
@@ -175,16 +181,28 @@ class Chains:
                 raise
 
     def make(self, plan: ChainPlan, now_s: float) -> None:
-        """Start a new chain if the current chain has another plan, hangs or does not exist.
+        """Let the current chain play the plan; start a new chain if it cannot, or hangs.
 
+        While the current chain changes, or its graph is idle, a further plan waits.
         LostError: a design cannot be computed, and no chain plays. UsageError: a rig is unknown.
         For other errors, see `Chain`.
         """
         current, following = self.current, self.following
-        if following is not None and not following.chain.page.frames:
-            self._restore(following.chain.rigs, False)  # coil temperatures have changed meanwhile
-        if current is None or current.chain.plan != plan or current.stands_s(now_s) > STUCK_S:
+        for running in self.running:
+            if not running.chain.wanted.has_run:
+                # coil temperatures have changed meanwhile
+                self._restore(running.chain.wanted.rigs, False)
+        if current is None or current.stands_s(now_s) > STUCK_S:
             self._begin(plan, now_s)
+            return
+        current.chain.note_change()
+        if current.chain.plan != plan:
+            if not current.chain.can_become(plan):
+                self._begin(plan, now_s)
+            elif not current.chain.is_changing and self.backoff.wait_s(now_s) <= 0.0:
+                drives = self._designed(plan, now_s)
+                if drives is not None:
+                    current.chain.become(plan, drives)
             return
         self._designs.end()
         self.problem = ""
@@ -270,20 +288,24 @@ class Chains:
         self.problem = f"the former settings play on: {failure}" if failure else ""
         return drives
 
-    def _prepare(self, chain: Chain) -> None:
+    def _prepare(self, chain: Chain, design: ChainDesign) -> None:
         chain.page.set_sound_gain(self._sound_gain)
-        set_actuators(chain, self._config)
-        self._restore(chain.rigs, True)
+        self._set_actuators(chain, chain.design if design.number else design)
+        self._restore(design.rigs, True)
 
+    def _set_actuators(self, chain: Chain, playing: ChainDesign) -> None:
+        """Set gains and delays of all actuators.
 
-def set_actuators(chain: Chain, config: RunConfig) -> None:
-    """Set gains and delays of a chain's actuators from the config."""
-    settings, offset_s = config.settings, max(0.0, config.live.offset_s)
-    level = 0.0 if config.muted else db_to_amplitude(settings.gain_db)
-    if not settings.actuators:
-        for slot in range(len(chain.plan.actuators)):
-            chain.page.set_actuator(slot, level, offset_s * chain.plan.samplerate)
-    for slot, actuator in enumerate(settings.actuators[: len(chain.plan.actuators)]):
-        delay_s = offset_s + 1e-3 * actuator.delay_ms
-        delay_frames = delay_s * chain.plan.samplerate
-        chain.page.set_actuator(slot, level * actuator.factor, delay_frames)
+        No gain rises in a design that plays with another rig, damping or protection than the config
+        has: the design that follows protects the actuator at the new gain.
+        """
+        settings, offset_s = self._config.settings, self._offset_s
+        page, plan, holds = chain.page, playing.plan, playing.plan.drives != drives_of(settings)
+        level = 0.0 if self._config.muted else db_to_amplitude(settings.gain_db)
+        if not settings.actuators:
+            for slot in range(len(plan.actuators)):
+                page.set_actuator(slot, level, offset_s * plan.samplerate, holds=holds)
+        for slot, actuator in enumerate(settings.actuators[: len(plan.actuators)]):
+            delay_s = offset_s + 1e-3 * actuator.delay_ms
+            delay_frames = delay_s * plan.samplerate
+            page.set_actuator(slot, level * actuator.factor, delay_frames, holds=holds)

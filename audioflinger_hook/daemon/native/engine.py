@@ -1,7 +1,5 @@
 """The native engine: keeps the plugin running, and links it between tap and device."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable
@@ -78,33 +76,24 @@ class NativeEngine:
 
     @property
     def is_steady(self) -> bool:
-        """Whether a chain plays and is not being replaced."""
-        chains = self.chains
-        return self.audible and chains.following is None and not chains.leaving
+        """Whether a chain plays, and neither changes nor is being replaced."""
+        chains, chain = self.chains, self.chain
+        changes = chain is None or chain.is_changing
+        return self.audible and not changes and chains.following is None and not chains.leaving
 
     def unseen(self, tap: Tap, device: Sink) -> str:
         """Return why tap or device cannot be linked, "" if both can be linked."""
         with self.watch.lock:
             return why_unlinkable(self.watch.graph, tap, device.name)
 
-    @property
-    def lacks_realtime(self) -> bool:
-        """Whether the chain lacks the real-time priority that the config wants."""
-        current = self.chains.current
-        return self._config.live.realtime and current is not None and current.has_realtime is False
-
     def follow(self, config: RunConfig) -> None:
         """Apply another config. The next `maintain` starts a new chain if necessary."""
         self._config = config
         self.chains.follow(config)
 
-    def set_sound_gains(self, *, streams: float, monitor: float) -> None:
-        """Set the gain of the sound: `monitor` if the monitor is tapped, otherwise `streams`."""
-        self.chains.set_sound_gain(monitor if self.monitor_reason else streams)
-
     def use_monitor(self, reason: str) -> None:
-        """Tap the sink's monitor from now on."""
-        self._must_use_monitor, self.monitor_reason = True, reason
+        """Tap the sink's monitor from now on; without a reason, the streams."""
+        self._must_use_monitor, self.monitor_reason = bool(reason), reason
 
     def maintain(self, found: Source | Applications, device: Sink, now_s: float) -> bool:
         """Start, link and check the chain; return whether the chain plays.
@@ -114,7 +103,7 @@ class NativeEngine:
         other errors, see `Chain`.
         """
         self._faded_s = math.inf
-        tap = tap_of(found, self._config.rules)
+        tap = tap_of(found, self._config.rules, self._config.left_out)
         self._note_moves(tap)
         if self.watch.lost:
             raise LostError("the connection to PipeWire's graph was lost")
@@ -245,7 +234,8 @@ class NativeEngine:
         ends = {chain.tap: chain for chain in self._wiring.chains}
         for running in self.chains.running:
             chain = ends[running.chain.tap]
-            wanted = self._wiring.device_links(graph, chain) if chain.linked else set()
+            on_device = self._wiring.device_links(graph, chain) if chain.linked else set()
+            wanted = on_device
             if len(wanted) < sum(actuator is not None for actuator in chain.played):
                 wanted = set()  # some ports of the device do not exist yet
             if self._wiring.by_monitor and chain.linked:
@@ -256,7 +246,11 @@ class NativeEngine:
                 first |= self._wiring.tap_links(graph, chain)
                 if keeper.missing_for_s(first, now_s) <= REFUSED_S:
                     wanted = wanted | first
-            exist = bool(wanted and chain.tap_ports(graph)) and keeper.are_there(wanted)
+            missing = keeper.missing(wanted)
+            is_late = keeper.missing_for_s(missing, now_s) > REFUSED_S
+            if running.is_linked and missing < on_device and not is_late:
+                missing = set()  # a further channel of the device; the others play on
+            exist = bool(wanted and chain.tap_ports(graph)) and not missing
             if exist and not running.is_linked:
                 self.chains.backoff.succeeded()
             running.note_links(now_s, exist=exist)

@@ -1,7 +1,5 @@
 """Layout of shared memory, as in plugin/native/parts.h. No value is written by two processes."""
 
-from __future__ import annotations
-
 import ctypes
 import mmap
 import struct
@@ -15,30 +13,34 @@ from audioflinger_hook.core.structures import (
     Readings,
 )
 
-MAGIC = 0x3545474150485543
+MAGIC = 0x3645474150485543
+BANKS = 2  # design n uses bank n % BANKS
 ACTUATORS = 32  # largest number of actuators of the plugin
 READ_TRIES = 4  # largest number of attempts to read partials between two writes of the plugin
+
+
+class Bank(ctypes.Structure):
+    """Controls and readings of one design."""
+
+    _fields_ = (("controls", Controls), ("readings", Readings))
+
+
+_NUMBERS = ("magic", "size", "samplerate", "cycle_frames", "wanted", "playing", "refused")
 
 
 class Layout(ctypes.Structure):
     """Layout of the shared memory."""
 
-    _fields_ = (
-        ("magic", ctypes.c_uint64),
-        ("size", ctypes.c_uint64),
-        ("samplerate", ctypes.c_uint64),
-        ("cycle_frames", ctypes.c_uint64),
-        ("controls", Controls),
-        ("readings", Readings),
-    )
+    _fields_ = (*((name, ctypes.c_uint64) for name in _NUMBERS), ("banks", Bank * BANKS))
 
 
 SIZE = ctypes.sizeof(Layout)
 
 _HEADER = struct.Struct("=2Q")
-_COUNT, _FRAMES_AT = struct.Struct("=Q"), Layout.readings.offset + Readings.frames.offset
-_SEQUENCE_AT = Layout.readings.offset + Readings.sequence.offset
-_SHOWN_AT = Layout.readings.offset + Readings.sound.offset
+_COUNT = struct.Struct("=Q")
+_FRAMES_AT = Bank.readings.offset + Readings.frames.offset
+_SEQUENCE_AT = Bank.readings.offset + Readings.sequence.offset
+_SHOWN_AT = Bank.readings.offset + Readings.sound.offset
 _LEVEL_BYTES = ctypes.sizeof(Level)
 _AFTER_LEVEL = ctypes.sizeof(ActuatorReadings) - _LEVEL_BYTES
 
@@ -67,21 +69,21 @@ class ShownReader:
 
     @property
     def frames(self) -> int:
-        """Number of processed frames of sound, constant while the engine does not run."""
-        return int(_COUNT.unpack_from(self._memory, _FRAMES_AT)[0])
+        """Number of frames that the playing design has processed."""
+        return int(_COUNT.unpack_from(self._memory, self._bank_at + _FRAMES_AT)[0])
 
     @property
     def sequence(self) -> int:
         """Counter that changes at each write of partials; odd during a write."""
-        return int(_COUNT.unpack_from(self._memory, _SEQUENCE_AT)[0])
+        return int(_COUNT.unpack_from(self._memory, self._bank_at + _SEQUENCE_AT)[0])
 
     def shown(self) -> Shown:
         """Return levels and partials; no partials if each attempt coincides with a write."""
         first = 2 * self.channels
-        partials = first + 2
+        partials, bank_at = first + 2, self._bank_at
         for _ in range(READ_TRIES):
-            found = self._shown.unpack_from(self._memory, _SHOWN_AT)
-            (again,) = _COUNT.unpack_from(self._memory, _SEQUENCE_AT)
+            found = self._shown.unpack_from(self._memory, bank_at + _SHOWN_AT)
+            (again,) = _COUNT.unpack_from(self._memory, bank_at + _SEQUENCE_AT)
             if found[first] == again and not again % 2:
                 count = min(found[first + 1], PARTIALS)
                 break
@@ -89,3 +91,8 @@ class ShownReader:
             count = 0
         actuators, shown = found[partials + 3 * PARTIALS :], found[partials : partials + 3 * count]
         return (self.channels, self.actuators, count), (*found[:first], *actuators, *shown)
+
+    @property
+    def _bank_at(self) -> int:
+        (playing,) = _COUNT.unpack_from(self._memory, Layout.playing.offset)
+        return Layout.banks.offset + int(playing) % BANKS * ctypes.sizeof(Bank)

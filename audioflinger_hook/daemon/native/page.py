@@ -1,15 +1,22 @@
 """Memory that the daemon shares with the plugin and the live page."""
 
-from __future__ import annotations
-
+import ctypes
 import mmap
 import os
 from collections.abc import Sequence
 from pathlib import Path
 
 from audioflinger_hook.core import structures
-from audioflinger_hook.core.structures import PARTIALS
-from audioflinger_hook.daemon.native.layout import ACTUATORS, MAGIC, SIZE, Layout, ShownReader
+from audioflinger_hook.core.structures import PARTIALS, Controls, Readings
+from audioflinger_hook.daemon.native.layout import (
+    ACTUATORS,
+    BANKS,
+    MAGIC,
+    SIZE,
+    Bank,
+    Layout,
+    ShownReader,
+)
 from audioflinger_hook.service.meters import Level, Reading, level_of
 
 DELAY_MAX_S = 2.0
@@ -20,13 +27,13 @@ class Page:
 
     Any thread may read levels and counts. channels, vibrations: numbers of sound channels and of
     vibration signals. sources: index of the vibration signal that each actuator plays.
-    reader: reads values for the live page.
+    reader: reads values for the live page. layout: all values; of the numbers of designs in it, the
+    plugin reads `wanted` and writes `playing`, and `refused` if it cannot use a changed design.
     """
 
     def __init__(self, path: Path, channels: int, vibrations: int, sources: Sequence[int]) -> None:
         self.path = path
         self._channels = channels
-        self._vibrations = vibrations
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
         file = os.open(path, flags, 0o600)
         try:
@@ -34,13 +41,39 @@ class Page:
             memory = mmap.mmap(file, SIZE)
         finally:
             os.close(file)
-        self._page = page = Layout.from_buffer(memory)
-        self.controls, self.readings = page.controls, page.readings
+        self.layout = page = Layout.from_buffer(memory)
         self.reader = ShownReader(memory, channels, len(sources))
-        page.controls.sound_gain = 1.0
-        for controls, source in zip(page.controls.actuators, sources, strict=False):
-            controls.gain, controls.source = 1.0, source
+        self.prepare(0, vibrations, sources)
         page.size, page.magic = SIZE, MAGIC
+
+    def prepare(self, number: int, vibrations: int, sources: Sequence[int]) -> Bank:
+        """Return the bank of the design `number`, with new readings and unit gains.
+
+        The design that plays must not use this bank.
+        """
+        before, bank = self._playing.controls, self.layout.banks[number % BANKS]
+        ctypes.memset(ctypes.byref(bank), 0, ctypes.sizeof(bank))
+        bank.controls.sound_gain = before.sound_gain if number else 1.0
+        for slot, source in enumerate(sources[:ACTUATORS]):
+            controls = bank.controls.actuators[slot]
+            controls.gain, controls.source = 1.0, source
+            controls.audible = before.actuators[slot].audible
+        self._vibrations = vibrations
+        return bank  # type: ignore[no-any-return]
+
+    @property
+    def controls(self) -> Controls:
+        """Controls of the design that plays."""
+        return self._playing.controls  # type: ignore[no-any-return]
+
+    @property
+    def readings(self) -> Readings:
+        """Readings of the design that plays."""
+        return self._playing.readings  # type: ignore[no-any-return]
+
+    @property
+    def _playing(self) -> Bank:
+        return self.layout.banks[self.layout.playing % BANKS]  # type: ignore[no-any-return]
 
     def show(
         self,
@@ -64,17 +97,33 @@ class Page:
 
     def set_sound_gain(self, gain: float) -> None:
         """Set the gain of the tap's samples, 0 or more. The change extends over one buffer."""
-        self.controls.sound_gain = gain
+        for bank in self.layout.banks:
+            bank.controls.sound_gain = gain
 
-    def set_actuator(self, slot: int, gain: float, delay_frames: float) -> None:
-        """Set the gain, -1 to 1, and the delay in frames of the actuator with index `slot`."""
-        controls = self.controls.actuators[slot]
-        controls.gain, controls.delay_frames = gain, max(0.0, delay_frames)
+    def set_actuator(
+        self, slot: int, gain: float, delay_frames: float, *, holds: bool = False
+    ) -> None:
+        """Set the gain, -1 to 1, and the delay in frames of the actuator with index `slot`.
+
+        holds: the design that plays keeps its gain if the new gain is larger.
+        """
+        for number, bank in enumerate(self.layout.banks):
+            controls = bank.controls.actuators[slot]
+            holds_this = holds and number == self.layout.playing % BANKS
+            if not holds_this or abs(gain) <= abs(controls.gain):
+                controls.gain = gain
+            controls.delay_frames = max(0.0, delay_frames)
+
+    @property
+    def delay_frames(self) -> float:
+        """The longest delay of an actuator in frames."""
+        return max(float(one.delay_frames) for one in self.controls.actuators)
 
     def set_audible(self, audible: bool) -> None:
         """Fade the vibration of all actuators in or out within 40 ms."""
-        for controls in self.controls.actuators:
-            controls.audible = int(audible)
+        for bank in self.layout.banks:
+            for controls in bank.controls.actuators:
+                controls.audible = int(audible)
 
     @property
     def frames(self) -> int:
@@ -84,7 +133,7 @@ class Page:
     @property
     def samplerate(self) -> int:
         """Sample rate of the plugin in Hz, 0 before the plugin runs."""
-        return int(self._page.samplerate)
+        return int(self.layout.samplerate)
 
     def faded_out(self, actuators: int) -> bool:
         """Whether the first `actuators` actuators are silent."""
@@ -93,7 +142,7 @@ class Page:
     @property
     def cycle_frames(self) -> int:
         """Length of the graph's latest cycle in frames, 0 before the first cycle."""
-        return int(self._page.cycle_frames)
+        return int(self.layout.cycle_frames)
 
     @property
     def levels(self) -> tuple[Level, Level]:

@@ -1,7 +1,5 @@
 """The configuration of a chain, and the designs of damping and protection for its rigs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -35,10 +33,10 @@ class ChainPlan:
     outputs: int
     actuators: tuple[int, ...]
     parameters: TransformParameters
-    drives: tuple[tuple[str, str, str, str], ...]
+    drives: tuple[tuple[str, ...], ...]
 
     @classmethod
-    def of(cls, settings: Settings, tap: Tap, samplerate: int) -> ChainPlan:
+    def of(cls, settings: Settings, tap: Tap, samplerate: int) -> "ChainPlan":
         """Return the plan for settings, a tap and the graph's sample rate in Hz."""
         sources = settings.sources
         outputs = len(sources) or (tap.channels if settings.channels == "each" else 1)
@@ -48,17 +46,13 @@ class ChainPlan:
             routed = tuple(range(outputs))
         # As in the Python engine, the mix alone needs no weights.
         mixed = () if sources in ((), ("mix",)) else sources
-        drives = tuple(
-            (
-                one.rig or settings.rig,
-                one.damping or settings.damping,
-                one.protection or settings.protection,
-                one.exposure_cap or settings.exposure_cap,
-            )
-            for one in settings.actuators or (settings,)
-        )
-        parameters = settings.transform_parameters
+        parameters, drives = settings.transform_parameters, drives_of(settings)
         return cls(samplerate, tap.channels, mixed, outputs, routed, parameters, drives)
+
+    @property
+    def node(self) -> tuple[int, int, int]:
+        """The sample rate and the numbers of input and output ports."""
+        return self.samplerate, self.tap_channels, len(self.actuators)
 
     @property
     def weights(self) -> FloatArray | None:
@@ -77,10 +71,7 @@ class ChainPlan:
 
     def drive_plans(self) -> list[DrivePlan | None]:
         """Return a plan for each entry of `drives`. UsageError: a rig is unknown."""
-        return [
-            DrivePlan.of(rig, self.samplerate, damping, protection, exposure_cap)
-            for rig, damping, protection, exposure_cap in self.drives
-        ]
+        return [DrivePlan.of(rig, self.samplerate, *more) for rig, *more in self.drives]
 
     def design(self, drives: Sequence[DriveDesign | None]) -> bytes:
         """Return the design of the C core as bytes. drives: designs for `drive_plans`."""
@@ -93,6 +84,15 @@ class ChainPlan:
             drives=[drive for drive in drives for _ in range(self.columns)],
             delay_frames_max=round(DELAY_MAX_S * self.samplerate),
         )
+
+
+def drives_of(settings: Settings) -> tuple[tuple[str, ...], ...]:
+    """Return `ChainPlan.drives` for settings."""
+    names = ("rig", "damping", "protection", "exposure_cap")
+    return tuple(
+        tuple(getattr(one, name) or getattr(settings, name) for name in names)
+        for one in settings.actuators or (settings,)
+    )
 
 
 LONGEST_WAIT_S = 60.0  # longest wait for the next attempt after a failure

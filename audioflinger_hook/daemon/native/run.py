@@ -1,7 +1,5 @@
 """Restarts a lost native engine; gives up after FAILURES_MAX losses in a row or any other error."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -46,13 +44,17 @@ class NativeRun:
         self._on_change, self._restore = on_change, restore
         self._designs = DriveDesigns()
         self._played_s = -QUIET_S
+        self._offset_s = 0.0
         self._volume_of: tuple[PulseConnection, int] | None = None
+        self._has_monitor = True
         self.engine: NativeEngine | None = None
         self.begin()
 
     def begin(self) -> None:
         """Forget earlier failures."""
         self.problem = self._monitor_reason = ""
+        if self.engine is not None:
+            self.engine.use_monitor("")
         self._failures, self._failed_s = 0, 0.0
         self._seen_s: float | None = None
         self._began_s: float | None = None
@@ -62,6 +64,12 @@ class NativeRun:
         self._config = config
         if self.engine is not None:
             self.engine.follow(config)
+
+    def set_offset(self, offset_s: float) -> None:
+        """Set the delay of the vibration in seconds."""
+        self._offset_s = offset_s
+        if self.engine is not None:
+            self.engine.chains.set_offset(offset_s)
 
     def maintain(
         self,
@@ -76,10 +84,11 @@ class NativeRun:
         """Keep the engine running; raise nothing. sound_gains: for streams, for a monitor."""
         assert isinstance(source, (Source, Applications))
         assert isinstance(device, Sink)
+        self._has_monitor = isinstance(source, Source)
         try:
             engine = self._opened()
             self._set_volume(device, connection, volume)
-            engine.set_sound_gains(streams=sound_gains[0], monitor=sound_gains[1])
+            engine.chains.set_sound_gain(sound_gains[bool(engine.monitor_reason)])
             plays = engine.maintain(source, device, now_s)
         except CushionError as error:
             self._fail(error, now_s)
@@ -88,9 +97,11 @@ class NativeRun:
             self._began_s = None
             self._states.enter(DaemonState.WAITING_FOR_SERVER, now_s, engine.waits_for)
             return
-        self._note_unseen(engine, tap_of(source, self._config.rules), device, now_s)
+        self._note_unseen(
+            engine, tap_of(source, self._config.rules, self._config.left_out), device, now_s
+        )
         self._note_start(engine, plays, now_s)
-        if players or engine.is_fed:
+        if engine.is_fed or (players and engine.monitor_reason):  # others may be left out
             self._played_s = now_s
         if plays:
             quiet = now_s - self._played_s > QUIET_S
@@ -123,6 +134,7 @@ class NativeRun:
                 self._designs,
                 monitor_reason=self._monitor_reason,
             )
+            self.engine.chains.set_offset(self._offset_s)
         return self.engine
 
     def _set_volume(self, device: Sink, connection: PulseConnection, volume: DeviceVolume) -> None:
@@ -145,7 +157,7 @@ class NativeRun:
         if not lost or self._failures >= FAILURES_MAX:
             self._give_up(f"the native engine failed: {error}", now_s)
         elif self._failures == FAILURES_MAX - 1:
-            self._use_monitor(f"the native engine failed: {error}")
+            self._use_monitor(f"the native engine failed: {error}", now_s)
 
     def _give_up(self, problem: str, now_s: float) -> None:
         """Switch to the Python engine, or try again if only the native engine is allowed."""
@@ -156,7 +168,11 @@ class NativeRun:
         else:
             self.problem = problem
 
-    def _use_monitor(self, reason: str) -> None:
+    def _use_monitor(self, reason: str, now_s: float) -> None:
+        """Tap the monitor; give up if applications are chosen, which a monitor cannot do."""
+        if not self._has_monitor:
+            self._give_up(reason, now_s)
+            return
         self._monitor_reason = reason
         if self.engine is not None:
             self.engine.use_monitor(reason)
@@ -181,5 +197,5 @@ class NativeRun:
             if engine.monitor_reason:
                 self._give_up(problem, now_s)
             else:
-                self._use_monitor(problem)
+                self._use_monitor(problem, now_s)
                 self._states.enter(self._states.state, now_s, f"{problem}; trying the monitor")

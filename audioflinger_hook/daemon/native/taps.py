@@ -5,8 +5,6 @@ leads to the chain. Alternatively, a chain taps the sink's monitor, which contai
 applications. The monitor is one cycle late if the sink drives the graph.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,6 +13,7 @@ from audioflinger_hook.daemon.inputs.applications import Applications
 from device.layouts import layout
 from device.server import AppRules
 from device.server.graph import Graph, Link, LinkPair, Node
+from device.server.left_out import ROLES_ONLY, LeftOut
 from device.server.snapshot import Source, Stream
 
 # Prefixes of port names.
@@ -28,6 +27,7 @@ _SIDE = {"BL": "SL", "BR": "SR", "BC": "RC"}  # if surround channels exist only 
 class Tap:
     """The sound that chains tap. name: for messages. rules: select streams, None for all.
 
+    left_out: streams that are not tapped although `rules` select them.
     positions: channels in the mixer's order, such as ("FL", "FR"). sink: node to which tapped
     streams play, "" for all sinks except the device.
     """
@@ -36,6 +36,7 @@ class Tap:
     positions: tuple[str, ...]
     sink: str
     rules: AppRules | None = None
+    left_out: LeftOut = ROLES_ONLY
 
     @property
     def channels(self) -> int:
@@ -57,11 +58,12 @@ class Tap:
         """Yield the links from tapped streams to sinks. device: sink to leave out."""
         haptic = graph.sink(device)
         avoided = haptic.id if haptic else None
-        for sink in graph.nodes_named(self.sink) if self.sink else graph.sinks():
-            if sink.id == avoided or not graph.is_sink(sink.id):
+        microphones = microphones_in(graph)
+        for sink in graph.nodes_named(self.sink) if self.sink else graph.nodes.values():
+            if sink.id == avoided or not sink.is_sink:
                 continue
             for link in graph.links_of(sink.id):
-                if link.input_node_id == sink.id and self._takes(graph, link, avoided):
+                if link.input_node_id == sink.id and self._takes(graph, link, avoided, microphones):
                     yield link
 
     def monitored(self, graph: Graph, inputs: tuple[int, ...]) -> Iterator[LinkPair]:
@@ -72,23 +74,41 @@ class Tap:
             if position in ports:
                 yield ports[position], port
 
-    def _takes(self, graph: Graph, link: Link, avoided: int | None) -> bool:
+    def _takes(
+        self, graph: Graph, link: Link, avoided: int | None, microphones: tuple[Stream, ...]
+    ) -> bool:
         output, node = graph.ports.get(link.output_id), graph.nodes.get(link.output_node_id)
         if output is None or node is None or link.input_id not in graph.ports:
             return False
+        # An announcement lacks process, title and latency. The description precedes the link.
+        if not graph.is_described(node.id):
+            return False
         if output.is_monitor and node.id == avoided:  # the monitor would cause feedback
             return False
-        if self.rules is None:
-            return True
-        return graph.is_described(node.id) and self.rules.take(stream_of(graph, node))
+        stream = stream_of(graph, node)
+        if not output.is_monitor and self.left_out.why(stream, microphones):
+            return False
+        return self.rules is None or self.rules.take(stream)
 
 
-def tap_of(found: Source | Applications, rules: AppRules | None) -> Tap:
-    """Return the tap for a source from `Input.locate`. rules: select applications, None for all."""
+def tap_of(
+    found: Source | Applications, rules: AppRules | None, left_out: LeftOut = ROLES_ONLY
+) -> Tap:
+    """Return the tap for a source from `Input.locate`. For `rules` and `left_out`, see `Tap`."""
     positions = in_mixing_order(port_names(found.channel_map, found.channels))
     if isinstance(found, Source):
-        return Tap(found.name, positions, found.monitor_of or "")
-    return Tap(found.name, positions, found.sink, rules)
+        return Tap(found.name, positions, found.monitor_of or "", None, left_out)
+    return Tap(found.name, positions, found.sink, rules, left_out)
+
+
+def microphones_in(graph: Graph) -> tuple[Stream, ...]:
+    """Return the streams that record from anything except the monitor of a sink."""
+    return tuple(
+        stream_of(graph, node)
+        for node in graph.nodes.values()
+        if node.properties.get("media.class") == "Stream/Input/Audio"
+        and str(node.properties.get("stream.capture.sink")).lower() != "true"
+    )
 
 
 def stream_of(graph: Graph, node: Node) -> Stream:

@@ -1,14 +1,14 @@
 """Interface of all outputs, and the base class of outputs with a PortAudio stream."""
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
-from typing import Generic, TypeVar
+from operator import attrgetter
+from typing import Any, Generic, TypeVar
 
 from audioflinger_hook.daemon.inputs.base import AudioNode, Endpoint
 from audioflinger_hook.daemon.reconnecting_stream import ReconnectingStream
-from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.address import DeviceAddress
@@ -19,8 +19,7 @@ from device.errors import CushionError, LostError, NotFoundError, UsageError
 from device.rig import rig_by_name
 from device.server import PulseConnection, ServerSnapshot
 from device.stream import AudioPriority, PlaybackStream
-from device.stream.pcms import Pcm
-from device.stream.portaudio import BLOCK_FRAMES
+from device.stream.pcms import Pcm, Target
 from device.stream.sample_format import SampleFormat
 from device.units import Float32Array
 
@@ -91,27 +90,25 @@ class Output(Endpoint):
 
 
 class StreamOutput(Output, Generic[NodeT]):
-    """An output with a PortAudio stream on a sink or card. recording: stores the sent frames."""
+    """An output with a PortAudio stream on a sink or card."""
 
     is_card = False
+    _identity: "attrgetter[Any]"  # the part of a node that changes if it is plugged in again
 
     def __init__(
         self,
-        address: DeviceAddress,
+        config: RunConfig,
         pcm: Pcm,
         states: StateKeeper,
-        recording: RunRecording | None = None,
-        *,
-        block_frames: int = BLOCK_FRAMES,
         priority: AudioPriority | None = None,
-        actuators: Sequence[ActuatorSettings] = (),
     ) -> None:
-        super().__init__(address)
-        self.block_frames = block_frames
+        super().__init__(config.device)
+        self.block_frames = config.live.block_frames
         self.volume = DeviceVolume()
+        self.volume.request(config)
         self._pcm, self._priority = pcm, priority
-        self._states, self._recording = states, recording
-        self._router = ChannelRouter(actuators)
+        self._states, self._recording = states, config.recording
+        self._router = ChannelRouter(config.settings.actuators)
         self._stream = ReconnectingStream[PlaybackStream](
             "the output", states, Cause.DEVICE_LOST, Cause.DEVICE_MOVED
         )
@@ -174,14 +171,37 @@ class StreamOutput(Output, Generic[NodeT]):
     def _volume_setter(self, node: NodeT, connection: PulseConnection | None) -> SetVolume:
         """Return a function that sets the device's volume."""
 
-    @contextmanager
-    def _waiting(self, now_s: float) -> Iterator[None]:
+    def maintain(self, connection: PulseConnection | None, fill: Fill, now_s: float) -> None:
+        """See `Output`."""
+        stream, node = self._stream, self._found
+        assert node is not None
+        if stream.stream is not None and self._playing is not None:
+            if self._identity(node) != self._identity(self._playing):  # plugged in again
+                self.close()
+            else:
+                stream.check(now_s)
+        set_volume = self._volume_setter(node, connection)
         try:
-            yield
-        except NotFoundError as error:
-            self.close()
-            self._states.enter(DaemonState.WAITING_FOR_DEVICE, now_s, str(error))
+            if stream.stream is not None:
+                self.volume.update(set_volume)
+            elif place := self._place(node):
+                self._pcm.target, sample_format = place
+                make = partial(self._playback, node, fill, set_volume, sample_format)
+                if stream.open(make, None if self.is_card else connection, node.name, now_s):
+                    self._playing = node
+                    self._verify(node)
+        except CushionError as error:
+            if self.is_card or isinstance(error, NotFoundError):  # other errors are the server's
+                self.close()
+                self._states.enter(DaemonState.WAITING_FOR_DEVICE, now_s, str(error))
             raise
+
+    @abstractmethod
+    def _place(self, node: NodeT) -> tuple[Target, SampleFormat] | None:
+        """Return the stream's target and sample format; None until the node's setup is known."""
+
+    def _verify(self, node: NodeT) -> None:
+        """Raise LostError if the stream was not opened as wanted."""
 
     @abstractmethod
     def _channel_map(self, node: NodeT, actuators: Sequence[ActuatorSettings]) -> ChannelMap:
@@ -192,7 +212,7 @@ class StreamOutput(Output, Generic[NodeT]):
         node: NodeT,
         fill: Fill,
         set_volume: SetVolume,
-        sample_format: SampleFormat = SampleFormat.FLOAT32,
+        sample_format: SampleFormat,
     ) -> PlaybackStream:
         self.volume.set(set_volume)
         sent: Callable[[Float32Array, float], None] | None = None

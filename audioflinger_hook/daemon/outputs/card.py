@@ -1,21 +1,20 @@
 """Plays vibration on a sound card, without a sound server."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.daemon.outputs.base import Fill, SetVolume, StreamOutput
+from audioflinger_hook.daemon.inputs.base import FixedNode
+from audioflinger_hook.daemon.outputs.base import SetVolume, StreamOutput
 from audioflinger_hook.daemon.run_config import RunConfig
-from audioflinger_hook.service.state import DaemonState
 from device.alsa import choose_setup, find_playback, set_card_volume
 from device.alsa.cards import PROC, AlsaDevice, read_hw_params, why_blocked
 from device.alsa.offers import CardSetup, MeasuredRate, list_offers, measure_rate
 from device.drive import ActuatorSettings, ChannelMap, channels_needed, wiring_of
-from device.errors import CushionError, LostError, NotFoundError, UsageError
+from device.errors import LostError, NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
 from device.stream.pcms import CardDevice, Target
 from device.stream.sample_format import SampleFormat
@@ -25,26 +24,11 @@ from device.usb.sysfs import ROOT
 
 
 @dataclass(frozen=True)
-class CardNode:
+class CardNode(FixedNode):
     """A sound card. setup: settings for opening; None until the format of the mix is known."""
 
     playback: AlsaDevice
     setup: CardSetup | None
-
-    @property
-    def name(self) -> str:
-        """The card's name in messages."""
-        return str(self.playback)
-
-    @property
-    def samplerate(self) -> int:
-        """Sample rate in Hz; 0 until the setup is known."""
-        return self.setup.samplerate if self.setup else 0
-
-    @property
-    def channels(self) -> int:
-        """Number of channels; 0 until the setup is known."""
-        return self.setup.channels if self.setup else 0
 
 
 class CardOutput(StreamOutput[CardNode]):
@@ -55,6 +39,7 @@ class CardOutput(StreamOutput[CardNode]):
     """
 
     is_card = True
+    _identity = attrgetter("playback")  # the card may have another number
 
     def __init__(
         self,
@@ -109,39 +94,16 @@ class CardOutput(StreamOutput[CardNode]):
         if reason is not None:
             raise NotFoundError(reason)
         setup = self._setup(playback, self._router.actuators)
-        self._found = CardNode(playback, setup if self._mix else None)
+        name, known = str(playback), setup if self._mix else None
+        rate, channels = (known.samplerate, known.channels) if known else (0, 0)
+        self._found = CardNode(name, rate, channels, playback, known)
         return self._found
 
-    def maintain(self, connection: PulseConnection | None, fill: Fill, now_s: float) -> None:
-        """See `Output`."""
-        stream, node = self._stream, self._found
-        assert node is not None
-        if stream.stream is not None:
-            if node != self._playing:  # plugged in again: the card has another number
-                self.close()
-            else:
-                stream.check(now_s)
-        set_volume = self._volume_setter(node, connection)
-        if stream.stream is not None:
-            with self._waiting(now_s):
-                self.volume.update(set_volume)
-            return
-        setup = node.setup
-        if setup is None:
-            return  # the next `locate` finds a setup
-        self._pcm.target = self._target(node.playback.card.number, node.playback.device)
-        try:
-            if stream.open(
-                lambda: self._playback(node, fill, set_volume, setup.sample_format),
-                None,
-                node.name,
-                now_s,
-            ):
-                self._playing = node
-                self._verify(node.playback, setup)
-        except CushionError as error:
-            self._states.enter(DaemonState.WAITING_FOR_DEVICE, now_s, str(error))
-            raise
+    def _place(self, node: CardNode) -> tuple[Target, SampleFormat] | None:
+        if node.setup is None:
+            return None  # the next `locate` finds a setup
+        target = self._target(node.playback.card.number, node.playback.device)
+        return target, node.setup.sample_format
 
     def close(self) -> None:
         """Close the stream. Repeated calls do nothing."""
@@ -189,16 +151,15 @@ class CardOutput(StreamOutput[CardNode]):
         coils = _coils(node.playback)
         return ChannelMap.on_coils(self._haptic_channels, node.channels, coils, node.name)
 
-    def _verify(self, playback: AlsaDevice, setup: CardSetup) -> None:
+    def _verify(self, node: CardNode) -> None:
         """Raise LostError unless ALSA uses the wanted format; PortAudio does not report this."""
-        opened = read_hw_params(playback)
-        wanted = setup.sample_format.value
-        if opened and all(one.format != wanted for one in opened):
-            self._failed_formats.add(setup.sample_format)
-            self.close()
-            raise LostError(
-                f"{playback} plays {opened[0].format} instead of {wanted}; trying another format"
-            )
+        opened = read_hw_params(node.playback)
+        assert node.setup is not None
+        wanted = node.setup.sample_format
+        if opened and all(one.format != wanted.value for one in opened):
+            self._failed_formats.add(wanted)
+            words = f"{node.name} plays {opened[0].format} instead of {wanted.value}"
+            raise LostError(f"{words}; trying another format")
         self._delay_s = opened[0].delay_s if opened else 0.0
 
 

@@ -1,7 +1,5 @@
 """Writes vibration to a file or to the simulated rig, in real time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +11,7 @@ from audioflinger_hook.daemon.inputs.base import FixedNode
 from audioflinger_hook.daemon.outputs.base import Fill, Output
 from audioflinger_hook.daemon.pacing import FrameTime, Pacer
 from audioflinger_hook.daemon.recording import RunRecording
+from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.pipeline.framework import channel_map_of, simulated_rig_of
 from device.address import DeviceAddress
 from device.atomic_file import AtomicFile
@@ -32,20 +31,14 @@ BLOCK_FRAMES = 256  # frames of one write
 class PacedOutput(Output):
     """A WAV file or the simulated rig. UsageError: the file or the rig cannot be used."""
 
-    def __init__(
-        self,
-        address: DeviceAddress,
-        pacer: Pacer,
-        settings: Settings | None = None,
-        recording: RunRecording | None = None,
-    ) -> None:
-        super().__init__(address)
-        self.may_rest = address.kind != "wav"  # a file includes all silence of the run
-        self._pacer, self._recording = pacer, recording
+    def __init__(self, config: RunConfig, pacer: Pacer) -> None:
+        super().__init__(config.device)
+        self.may_rest = config.device.kind != "wav"  # a file includes all silence of the run
+        self._pacer, self._recording = pacer, config.recording
         self._job: _Writer | None = None
-        self._settings = settings or Settings()
+        self._settings = config.settings
         self._router = ChannelRouter(self._settings.actuators)
-        self._make = _maker(address, self._settings)
+        self._make = _maker(config.device, self._settings)
         self._format: tuple[int, int] | None = None
 
     @property
@@ -96,13 +89,12 @@ class PacedOutput(Output):
     def maintain(self, connection: PulseConnection | None, fill: Fill, now_s: float) -> None:
         """Start or continue the output; raise the error that ended the output, if any."""
         job = self._job
+        assert self._format is not None
         if job is None:
-            assert self._format is not None
             job = self._job = _Writer(self._make(*self._format), self._recording)
         if job.error is not None:
             raise job.error
         if not self._pacer.is_doing(job):
-            assert self._format is not None
             channel_map = channel_map_of(self._settings, self._format[1])
             job.fill = self._router.connect(fill, channel_map, BLOCK_FRAMES)
             if self._recording:
@@ -131,7 +123,7 @@ class _Writer:
         self.output = output
         self.fill: Fill
         self._recording = recording
-        self._written = FrameTime(output.samplerate)
+        self._written = FrameTime()
         self._block = np.zeros((BLOCK_FRAMES, output.channels), np.float32)
 
     @property

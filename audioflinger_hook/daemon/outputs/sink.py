@@ -4,8 +4,9 @@ import shlex
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
+from operator import attrgetter
 
-from audioflinger_hook.daemon.outputs.base import Fill, SetVolume, StreamOutput
+from audioflinger_hook.daemon.outputs.base import SetVolume, StreamOutput
 from device.alsa import find_playback
 from device.alsa.offers import MeasuredRate, measure_rate
 from device.drive import ActuatorSettings, ChannelMap
@@ -14,7 +15,8 @@ from device.errors import NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.identity import identity_of
 from device.server.snapshot import Sink, output_latency_s
-from device.stream.pcms import ServerDevice
+from device.stream.pcms import ServerDevice, Target
+from device.stream.sample_format import SampleFormat
 from device.usb import find_devices
 from device.usb.mapping import device_of_sink, hw_names
 
@@ -31,6 +33,7 @@ class SinkOutput(StreamOutput[Sink]):
     """A sink of the server as the haptic device."""
 
     needs_server = True
+    _identity = attrgetter("index")  # a new sink may have the old name
 
     @property
     def warnings(self) -> list[str]:
@@ -73,25 +76,8 @@ class SinkOutput(StreamOutput[Sink]):
         self._found = found
         return found
 
-    def maintain(self, connection: PulseConnection | None, fill: Fill, now_s: float) -> None:
-        """See `Output`."""
-        stream, sink = self._stream, self._found
-        assert connection is not None
-        assert sink is not None
-        if stream.stream is not None and self._playing is not None:
-            if sink.index != self._playing.index:  # plugged in again: a new sink with the old name
-                stream.close()
-            else:
-                stream.check(now_s)
-        set_volume = self._volume_setter(sink, connection)
-        with self._waiting(now_s):
-            if stream.stream is not None:
-                self.volume.update(set_volume)
-                return
-            self._pcm.target = ServerDevice(sink.name)
-            make = partial(self._playback, sink, fill, set_volume)
-            stream.open(make, connection, sink.name, now_s)
-        self._playing = sink
+    def _place(self, node: Sink) -> tuple[Target, SampleFormat]:
+        return ServerDevice(node.name), SampleFormat.FLOAT32
 
     def _volume_setter(self, node: Sink, connection: PulseConnection | None) -> SetVolume:
         assert connection is not None

@@ -6,14 +6,22 @@ export const still = matchMedia("(prefers-reduced-motion: reduce)");
 export function fit(canvas) {
   const ratio = Math.min(2, window.devicePixelRatio || 1);
   const width = canvas.clientWidth, height = canvas.clientHeight;
-  const changed = canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio);
-  if (changed) {
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
+  for (const [side, size] of [["width", Math.round(width * ratio)], ["height", Math.round(height * ratio)]]) {
+    if (canvas[side] !== size) canvas[side] = size; // setting it clears the canvas
   }
   const context = canvas.getContext("2d");
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
-  return { context, width, height, changed, ratio };
+  context.font = "13px system-ui, sans-serif";
+  context.textBaseline = "middle";
+  context.lineWidth = 1;
+  return { context, width, height, ratio };
+}
+
+export function line(context, ...[first, ...others]) {
+  context.beginPath();
+  context.moveTo(...first);
+  for (const point of others) context.lineTo(...point);
+  context.stroke();
 }
 
 /** The colours of the theme, read once for each theme. */
@@ -31,14 +39,10 @@ export function colours() {
 }
 
 /** Share of a logarithmic range, 0 to 1. */
-export function share(hz, low, high) {
-  return Math.min(1, Math.max(0, Math.log(hz / low) / Math.log(high / low)));
-}
+export const share = (hz, low, high) => Math.min(1, Math.max(0, Math.log(hz / low) / Math.log(high / low)));
 
 /** How strong an amplitude is shown, 0 to 1: -54 dBFS and below is nothing. */
-export function strength(amplitude) {
-  return amplitude > 0 ? Math.min(1, Math.max(0, 1 + (20 * Math.log10(amplitude)) / 54)) : 0;
-}
+export const strength = (amplitude) => (amplitude > 0 ? Math.min(1, Math.max(0, 1 + (20 * Math.log10(amplitude)) / 54)) : 0);
 
 export function hertz(hz) {
   return hz >= 1000 ? `${(hz / 1000).toFixed(hz >= 10000 ? 1 : 2)} kHz` : `${Math.round(hz)} Hz`;

@@ -1,68 +1,34 @@
-// Figures of the status: the delay, panels of rows, and applications.
+// Figures of the status: the delay, and panels of rows.
+
+import { element, find, titled } from "/elements.js";
 
 const PERCEIVED_MS = 24;
 
-const element = (kind, text = "", attributes = {}) => {
-  const made = document.createElement(kind);
-  made.textContent = text;
-  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-  return made;
-};
-const find = (id) => document.getElementById(id);
-
-const titled = (name) => name[0].toUpperCase() + name.slice(1);
-
 /** figures: [[name, ms, meaning], ...] */
 export function showDelay(figures) {
-  const total = figures.reduce((sum, [, ms]) => sum + ms, 0), scale = Math.max(32, 1.08 * total, 1.08 * PERCEIVED_MS);
+  const total = figures.reduce((sum, [, ms]) => sum + ms, 0), scale = Math.max(32, 1.08 * total);
   const parts = figures.map(([name, ms, meaning], index) => ({ name: titled(name), ms, meaning, colour: `var(--part${index + 1})` }))
     .filter((part) => Math.abs(part.ms) >= 0.05);
-  const felt = total <= PERCEIVED_MS ? "not perceived" : "may be perceived";
+  const painted = (made, part, width) => {
+    made.style.background = part.colour;
+    if (width) made.style.width = width;
+    return made;
+  };
+  const share = (ms) => `${(100 * ms) / scale}%`;
+  const limit = element("div", { class: "limit", "data-label": `${PERCEIVED_MS} ms: longer is perceived` });
+  limit.style.left = share(PERCEIVED_MS);
   find("delay").textContent = parts.length ? `${total.toFixed(1)} ms` : "–";
-  const bars = parts.filter((part) => part.ms > 0).map((part) => {
-    const bar = element("span");
-    bar.style.width = `${(100 * part.ms) / scale}%`;
-    bar.style.background = part.colour;
-    return bar;
-  });
-  const limit = element("div", "", { class: "limit", "data-label": `${PERCEIVED_MS} ms: longer is perceived` });
-  limit.style.left = `${(100 * PERCEIVED_MS) / scale}%`;
+  const bars = parts.filter((part) => part.ms > 0).map((part) => painted(element("span"), part, share(part.ms)));
   find("budget").replaceChildren(...bars, limit);
+  const felt = total <= PERCEIVED_MS ? "not perceived" : "may be perceived";
   const words = parts.map((part) => `${part.name} ${part.ms.toFixed(1)} ms`).join(", ");
   find("budget").setAttribute("aria-label", parts.length ? `Delay ${total.toFixed(1)} ms, ${felt}: ${words}` : "No delay is known");
-  find("parts").replaceChildren(...parts.map((part) => {
-    const row = element("li", "", { title: part.meaning }), mark = element("i");
-    mark.style.background = part.colour;
-    row.append(mark, element("span", part.name), element("span", `${part.ms.toFixed(1)} ms`));
-    return row;
-  }));
+  find("parts").replaceChildren(...parts.map((part) => element("li", { title: part.meaning },
+    painted(element("i"), part), element("span", {}, part.name), element("span", {}, `${part.ms.toFixed(1)} ms`))));
 }
 
 /** rows: [[label, text, tone, meaning], ...] */
 export function showRows(place, rows) {
-  place.replaceChildren(...rows.map(([label, text, tone, meaning]) => {
-    const row = element("div", "", { title: meaning });
-    row.append(element("dt", titled(label)), element("dd", text, { "data-tone": tone }));
-    return row;
-  }));
-}
-
-let shownApplications = "";
-/** choose: called with the name of an application and whether it is to be felt. */
-export function showApplications(applications, choose) {
-  const state = JSON.stringify(applications);
-  if (state === shownApplications) return; // else a key press on a button could be lost
-  shownApplications = state;
-  const focused = document.activeElement?.dataset?.application;
-  find("applications").replaceChildren(...applications.map(({ name, plays, is_felt: felt }) => {
-    const row = element("li"), title = element("span", name, { class: "name" });
-    title.append(element("small", `${plays ? "plays" : "paused"}, ${felt ? "felt" : "left out"}`));
-    const button = element("button", felt ? "Leave out" : "Include", { type: "button", "data-application": name,
-      "aria-label": `${felt ? "Leave out" : "Include"} ${name}` });
-    button.onclick = () => choose(name, !felt);
-    row.append(title, button);
-    return row;
-  }));
-  if (!applications.length) find("applications").append(element("li", "No application has a sound open.", { class: "none" }));
-  document.querySelector(`[data-application="${CSS.escape(focused ?? "")}"]`)?.focus();
+  place.replaceChildren(...rows.map(([label, text, tone, meaning]) => element("div", { title: meaning },
+    element("dt", {}, titled(label)), element("dd", { "data-tone": tone }, text))));
 }

@@ -1,14 +1,15 @@
 // Level meters: RMS, peak and the highest peak of the last two seconds, in dBFS.
 
+import { element } from "/elements.js";
+
 const LOW = -60, HOLD_MS = 2000, WORDS_MS = 500, FLOOR = -149;
 
+const share = (dbfs) => Math.min(1, Math.max(0, 1 - dbfs / LOW));
+
 export class Meters {
+  /** names: gives the name of a meter from its index and the number of meters. */
   constructor(place, what, names) {
-    this.place = place;
-    this.what = what;
-    this.names = names;
-    this.rows = [];
-    this.told = 0;
+    Object.assign(this, { place, what, names, rows: [], told: 0 });
   }
 
   /** readings: [[peak, rms], ...] in dBFS; now: time in ms. */
@@ -23,32 +24,21 @@ export class Meters {
       row.peak.style.transform = `scaleX(${share(peak)})`;
       row.hold.style.transform = `translateX(calc(${100 * share(row.held)}% - 4px))`;
       if (!tell) return;
-      const text = peak <= FLOOR ? "silent" : `${peak.toFixed(1)}`;
+      const text = peak <= FLOOR ? "silent" : peak.toFixed(1);
       row.value.textContent = text;
-      row.meter.setAttribute("aria-valuenow", Math.max(LOW, peak).toFixed(0));
-      row.meter.setAttribute("aria-valuetext", peak <= FLOOR ? "silent" : `peak ${text} dBFS, RMS ${rms.toFixed(1)} dBFS`);
+      row.track.setAttribute("aria-valuenow", Math.max(LOW, peak).toFixed(0));
+      row.track.setAttribute("aria-valuetext", peak <= FLOOR ? "silent" : `peak ${text} dBFS, RMS ${rms.toFixed(1)} dBFS`);
     });
   }
 
   make(count) {
     this.rows = Array.from({ length: count }, (_, index) => {
-      const row = document.createElement("div");
-      row.className = "meter";
-      const [name, track, value] = ["span", "div", "span"].map((kind) => row.appendChild(document.createElement(kind)));
-      [name.className, track.className, value.className] = ["name", "track", "value"];
-      name.textContent = this.names(index, count);
-      const [peak, rms, hold] = ["i", "i", "b"].map((kind) => track.appendChild(document.createElement(kind)));
-      peak.className = "peak";
-      track.setAttribute("role", "meter");
-      track.setAttribute("aria-label", `${this.what} ${name.textContent}`);
-      track.setAttribute("aria-valuemin", LOW);
-      track.setAttribute("aria-valuemax", 0);
-      return { row, meter: track, peak, rms, hold, value, held: -150, since: 0 };
+      const name = this.names(index, count), peak = element("i", { class: "peak" }), rms = element("i"), hold = element("b");
+      const track = element("div", { class: "track", role: "meter", "aria-label": `${this.what} ${name}`,
+        "aria-valuemin": LOW, "aria-valuemax": 0, "aria-valuenow": LOW }, peak, rms, hold);
+      return { track, peak, rms, hold, name, value: element("span", { class: "value" }), held: -150, since: 0 };
     });
-    this.place.replaceChildren(...this.rows.map((one) => one.row));
+    this.place.replaceChildren(...this.rows.map(({ name, track, value }) =>
+      element("div", { class: "meter" }, element("span", { class: "name" }, name), track, value)));
   }
-}
-
-function share(dbfs) {
-  return Math.min(1, Math.max(0, 1 - dbfs / LOW));
 }

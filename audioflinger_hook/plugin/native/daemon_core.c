@@ -1,68 +1,67 @@
 /* The plugin that the daemon controls through a page of shared memory. */
 
 #include "parts.h"
-
+#include "../../transform/native/exact.h"
 #include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #define PIECE_FRAMES 1024
+#define HEARS_S 0.2 /* sound that a new core plays before it is audible; no onset is then new to it */
+#define FADE_S 0.04 /* cross-fade to the new core */
 
 struct DaemonCore {
     Page *page;
-    LoadedCore loaded;
+    DesignLoader *loader;
+    NumberedCore *core;      /* the audible core; not loaded: silence */
+    NumberedCore *following; /* the next core, or NULL */
+    size_t heard;            /* frames that `following` has processed */
+    size_t hears;            /* frames that it processes before it is audible */
+    double samplerate;
     CoreControls controls; /* defaults for use without a page: all actuators are audible */
-    int is_silent; /* the design is unusable, or its sample rate differs from the host's */
-    float sound[PIECE_FRAMES * DAEMON_INPUTS], signals[PIECE_FRAMES * CORE_ACTUATORS];
+    float sound[PIECE_FRAMES * DAEMON_INPUTS];
+    float signals[PIECE_FRAMES * CORE_ACTUATORS], next_signals[PIECE_FRAMES * CORE_ACTUATORS];
 };
 
-/* Map the file that HAPTIC_CUSHION_PAGE names. Return NULL without this variable or a usable file. */
-static Page *page_open(void)
+/* Map the file at `path`. Return NULL without a path or a usable file. */
+static Page *page_open(const char *path)
 {
-    const char *path = getenv("HAPTIC_CUSHION_PAGE");
     struct stat facts;
-    if (!path || !*path)
-        return NULL;
-    const int file = open(path, O_RDWR | O_CLOEXEC);
-    if (file < 0)
-        return NULL;
-    Page *page = NULL;
-    if (!fstat(file, &facts) && facts.st_size == sizeof(Page)) {
-        void *place = mmap(NULL, sizeof(Page), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
-        page = place == MAP_FAILED ? NULL : place;
-    }
+    const int file = path ? open(path, O_RDWR | O_CLOEXEC) : -1;
+    const int is_whole = file >= 0 && !fstat(file, &facts) && facts.st_size == sizeof(Page);
+    const int access = PROT_READ | PROT_WRITE;
+    Page *page = is_whole ? mmap(NULL, sizeof(Page), access, MAP_SHARED, file, 0) : MAP_FAILED;
     close(file);
-    if (page && (page->magic != PAGE_MAGIC || page->size != sizeof(Page))) {
-        munmap(page, sizeof(Page));
+    if (page == MAP_FAILED)
         return NULL;
-    }
-    return page;
+    if (page->magic == PAGE_MAGIC && page->size == sizeof(Page))
+        return page;
+    munmap(page, sizeof(Page));
+    return NULL;
 }
 
-/* Write the host's sample rate into the page. With a page, load the design that HAPTIC_CUSHION_DESIGN names.
- * Without a page or this variable, use core_find, and return 0 if no core is found. If the design is unusable
- * or has another rate, output silence. */
+/* Create the first core. With a page, write the host's sample rate and load the page's design; if it is
+ * unusable, output silence. Without a page, use core_find, and return 0 if no core is found. */
 static int load(DaemonCore *daemon, unsigned long samplerate)
 {
-    const char *path = daemon->page ? getenv("HAPTIC_CUSHION_DESIGN") : NULL;
+    Page *page = daemon->page;
     const char *misfit = NULL;
-    if (daemon->page)
-        __atomic_store_n(&daemon->page->samplerate, samplerate, __ATOMIC_RELAXED);
-    if (path)
-        misfit = core_load(&daemon->loaded, path);
-    else if (core_find(&daemon->loaded, "paper", samplerate) != 1)
+    if (page) {
+        __atomic_store_n(&page->samplerate, samplerate, __ATOMIC_RELAXED);
+        misfit = numbered_core_load(daemon->core, page, samplerate);
+        __atomic_store_n(&page->playing, daemon->core->number, __ATOMIC_RELEASE);
+        daemon->loader = design_loader_open(page, samplerate);
+    } else if (core_find(&daemon->core->loaded, "paper", samplerate) != 1) {
         return 0;
-    if (!misfit && daemon->loaded.info.inputs > DAEMON_INPUTS)
+    } else if (daemon->core->loaded.info.inputs > DAEMON_INPUTS) {
         misfit = "it has too many channels";
-    if (misfit) {
-        fprintf(stderr, "haptic_cushion: the design %s cannot be used: %s\n", path ? path : "found", misfit);
-        core_unload(&daemon->loaded);
+        core_unload(&daemon->core->loaded);
     }
-    daemon->is_silent = misfit || daemon->loaded.info.samplerate != samplerate;
+    if (misfit)
+        fprintf(stderr, "haptic_cushion: the design cannot be used: %s\n", misfit);
     return 1;
 }
 
@@ -71,8 +70,11 @@ DaemonCore *daemon_core_open(unsigned long samplerate)
     DaemonCore *daemon = calloc(1, sizeof *daemon);
     if (!daemon)
         return NULL;
-    daemon->page = page_open();
-    const int is_refused = !daemon->page && getenv("HAPTIC_CUSHION_PAGE");
+    daemon->core = calloc(1, sizeof *daemon->core);
+    daemon->samplerate = (double)samplerate;
+    const char *set = getenv("HAPTIC_CUSHION_PAGE"), *path = set && *set ? set : NULL; /* empty: unset */
+    daemon->page = page_open(path);
+    const int is_refused = !daemon->page && path;
     if (is_refused)
         fprintf(stderr, "haptic_cushion: the daemon's page cannot be used: it is of another version\n");
     daemon->controls.sound_gain = 1.0;
@@ -80,7 +82,7 @@ DaemonCore *daemon_core_open(unsigned long samplerate)
         daemon->controls.actuators[which].gain = 1.0;
         daemon->controls.actuators[which].audible = 1;
     }
-    if (is_refused || !load(daemon, samplerate)) {
+    if (is_refused || !daemon->core || !load(daemon, samplerate)) {
         daemon_core_close(daemon);
         return NULL;
     }
@@ -91,7 +93,9 @@ void daemon_core_close(DaemonCore *daemon)
 {
     if (!daemon)
         return;
-    core_unload(&daemon->loaded);
+    design_loader_close(daemon->loader);
+    numbered_cores_free(daemon->core);
+    numbered_cores_free(daemon->following);
     if (daemon->page)
         munmap(daemon->page, sizeof(Page));
     free(daemon);
@@ -99,36 +103,90 @@ void daemon_core_close(DaemonCore *daemon)
 
 void daemon_core_reset(DaemonCore *daemon)
 {
-    if (daemon->loaded.core)
-        core_reset(daemon->loaded.core, 0);
+    NumberedCore *cores[] = {daemon->core, daemon->following};
+    for (size_t which = 0; which < 2; which++)
+        if (cores[which] && cores[which]->loaded.core)
+            core_reset(cores[which]->loaded.core, 0);
 }
 
-static void process_piece(DaemonCore *daemon, float *const *inputs, float *const *outputs, size_t first,
-                          size_t frames)
+/* Signals of one core, (frames, count), in interleaved frames. */
+typedef struct {
+    const float *at;
+    size_t count;
+} Signals;
+
+static Signals process_core(DaemonCore *daemon, NumberedCore *core, float *const *inputs, float *out,
+                            size_t first, size_t frames)
 {
-    const CoreInfo *info = &daemon->loaded.info;
+    const CoreInfo *info = &core->loaded.info;
     const size_t channels = info->inputs;
-    const size_t signals = info->actuators ? info->actuators : info->vibrations;
+    PageBank *bank = daemon->page ? &daemon->page->banks[core->number % PAGE_BANKS] : NULL;
+    if (!core->loaded.core)
+        return (Signals){out, 0};
     for (size_t channel = 0; channel < channels; channel++)
         for (size_t frame = 0; frame < frames; frame++)
             daemon->sound[frame * channels + channel] =
                 inputs[channel] ? inputs[channel][first + frame] : 0.0f;
     const CoreSound sound = {daemon->sound, (ptrdiff_t)(channels * sizeof(float)), sizeof(float), 0};
-    core_process(daemon->loaded.core, daemon->page ? &daemon->page->controls : &daemon->controls, sound,
-                 daemon->signals, frames, daemon->page ? &daemon->page->readings : NULL);
+    core_process(core->loaded.core, bank ? &bank->controls : &daemon->controls, sound, out, frames,
+                 bank ? &bank->readings : NULL);
+    return (Signals){out, info->actuators ? info->actuators : info->vibrations};
+}
+
+static float signal_at(Signals signals, size_t output, size_t frame)
+{
+    return output < signals.count ? signals.at[frame * signals.count + output] : 0.0f;
+}
+
+/* Take the next core, if there is one. It first fills its delay lines, then processes HEARS_S of sound. */
+static void take_following(DaemonCore *daemon)
+{
+    const NumberedCore *next = daemon->following = design_loader_take(daemon->loader);
+    const PageBank *bank = &daemon->page->banks[next ? next->number % PAGE_BANKS : 0];
+    double delay = 0.0;
+    for (size_t which = 0; which < CORE_ACTUATORS; which++)
+        delay = fmax(delay, bank->controls.actuators[which].delay_frames);
+    daemon->heard = 0;
+    daemon->hears = (size_t)(HEARS_S * daemon->samplerate + delay);
+}
+
+/* Return how much of `following` is audible in a frame of this piece, 0 to 1. */
+static float share_of_following(const DaemonCore *daemon, size_t frame)
+{
+    const double after = (double)(daemon->heard + frame + 1) - (double)daemon->hears;
+    return (float)smooth_step(clip(after / (FADE_S * daemon->samplerate), 0.0, 1.0));
+}
+
+static void process_piece(DaemonCore *daemon, float *const *inputs, float *const *outputs, size_t first,
+                          size_t frames)
+{
+    if (daemon->loader && !daemon->following)
+        take_following(daemon);
+    const int changes = daemon->following != NULL;
+    const Signals now = process_core(daemon, daemon->core, inputs, daemon->signals, first, frames);
+    const Signals next = !changes ? (Signals){NULL, 0}
+        : process_core(daemon, daemon->following, inputs, daemon->next_signals, first, frames);
     for (size_t output = 0; output < DAEMON_OUTPUTS; output++)
-        for (size_t frame = 0; outputs[output] && frame < frames; frame++)
-            outputs[output][first + frame] =
-                output < signals ? daemon->signals[frame * signals + output] : 0.0f;
+        for (size_t frame = 0; outputs[output] && frame < frames; frame++) {
+            const float share = changes ? share_of_following(daemon, frame) : 0.0f;
+            float sample = signal_at(share < 1.0f ? now : next, output, frame);
+            if (share > 0.0f && share < 1.0f)
+                sample += share * (signal_at(next, output, frame) - sample);
+            outputs[output][first + frame] = sample;
+        }
+    daemon->heard += frames;
+    if (changes && share_of_following(daemon, 0) >= 1.0f) {
+        design_loader_return(daemon->loader, daemon->core);
+        daemon->core = daemon->following;
+        daemon->following = NULL;
+        __atomic_store_n(&daemon->page->playing, daemon->core->number, __ATOMIC_RELEASE);
+    }
 }
 
 void daemon_core_process(DaemonCore *daemon, float *const inputs[DAEMON_INPUTS],
                          float *const outputs[DAEMON_OUTPUTS], size_t frames)
 {
-    for (size_t output = 0; daemon->is_silent && output < DAEMON_OUTPUTS; output++)
-        if (outputs[output])
-            memset(outputs[output], 0, frames * sizeof(float));
-    for (size_t done = 0; !daemon->is_silent && done < frames;) {
+    for (size_t done = 0; done < frames;) {
         const size_t left = frames - done, part = left < PIECE_FRAMES ? left : PIECE_FRAMES;
         process_piece(daemon, inputs, outputs, done, part);
         done += part;

@@ -1,12 +1,10 @@
 /* The plugin for general hosts: the core, then gain, delay and bypass. */
 
 #include "parts.h"
-
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-
 #include "../../transform/native/exact.h"
 
 #define GAIN_MIN_DB (-60.0)
@@ -72,7 +70,6 @@ static void fade_apply(Fade *fade, float *samples, size_t count, int smooth)
 /* Allocate room for delays up to longest_s; return 0 if memory runs out. */
 static int delay_open(DelayLine *line, double longest_s, double samplerate)
 {
-    memset(line, 0, sizeof *line);
     const double frames = longest_s * samplerate + 1.0;
     for (line->capacity = 1; (double)line->capacity < frames;)
         line->capacity *= 2;

@@ -4,7 +4,6 @@
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include "ladspa_abi.h"
 #include "parts.h"
@@ -218,11 +217,7 @@ static void *lv2_instantiate(const Lv2Descriptor *descriptor, double samplerate,
     return samplerate > 0.0 ? instantiate(plugin, (unsigned long)lrint(samplerate)) : NULL;
 }
 
-static void lv2_connect_port(void *instance, uint32_t port, void *data)
-{
-    connect_port(instance, port, data);
-}
-
+static void lv2_connect_port(void *instance, uint32_t port, void *data) { connect_port(instance, port, data); }
 static void lv2_run(void *instance, uint32_t frames) { run(instance, frames); }
 
 __attribute__((constructor)) static void describe_all(void)

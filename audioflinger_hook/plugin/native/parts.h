@@ -50,28 +50,68 @@ EffectReadings effect_process(Effect *effect, EffectControls controls, const flo
 
 enum { DAEMON_INPUTS = CORE_CHANNELS, DAEMON_OUTPUTS = 32 };
 
+/* Controls and readings of one design. */
+typedef struct {
+    CoreControls controls;
+    CoreReadings readings;
+} PageBank;
+
+enum { PAGE_BANKS = 2 };
+
 /* Memory shared with the daemon, in the file that HAPTIC_CUSHION_PAGE names; see daemon/native/layout.py. The
- * daemon writes magic, size and controls; the plugin writes the rest. Each value has 8 bytes and is aligned. */
-#define PAGE_MAGIC UINT64_C(0x3545474150485543) /* "CUHPAGE5" */
+ * daemon writes magic, size, wanted and controls; the plugin writes the rest. Each value has 8 bytes and is
+ * aligned. Design n uses banks[n % PAGE_BANKS]. Design 0 is in the file that HAPTIC_CUSHION_DESIGN names; for a
+ * later design, "." and its number follow this name. */
+#define PAGE_MAGIC UINT64_C(0x3645474150485543) /* "CUHPAGE6" */
 
 typedef struct {
     uint64_t magic;
     uint64_t size;         /* bytes of the page */
     uint64_t samplerate;   /* of the host, Hz; the output is silent if the design has another rate */
     uint64_t cycle_frames; /* frames of the host's latest call */
-    CoreControls controls;
-    CoreReadings readings;
+    uint64_t wanted;       /* number of the design to play */
+    uint64_t playing;      /* number of the design that plays */
+    uint64_t refused;      /* number of the latest unusable design, except design 0 */
+    PageBank banks[PAGE_BANKS];
 } Page;
+
+/* A core made from a numbered design, in a list. */
+typedef struct NumberedCore {
+    LoadedCore loaded;
+    uint64_t number;
+    struct NumberedCore *next;
+} NumberedCore;
+
+/* Free a list of cores, which may be NULL. */
+void numbered_cores_free(NumberedCore *core);
+
+/* Create the core of the page's wanted design. Return NULL or an error message. Allocates. */
+const char *numbered_core_load(NumberedCore *core, const Page *page, unsigned long samplerate);
+
+/* Loads designs in a thread without real-time priority. */
+typedef struct DesignLoader DesignLoader;
+
+/* Start the thread. It loads the wanted design at each byte in the FIFO that HAPTIC_CUSHION_CHANGES names.
+ * Return NULL without this variable or on failure. Allocates. */
+DesignLoader *design_loader_open(Page *page, unsigned long samplerate);
+void design_loader_close(DesignLoader *loader);
+
+/* Return the latest loaded core once, else NULL. Real-time safe. */
+NumberedCore *design_loader_take(DesignLoader *loader);
+
+/* Give a core back; the thread frees it later. Real-time safe. */
+void design_loader_return(DesignLoader *loader, NumberedCore *core);
 
 /* Computes all actuators' signals from captured sound, as the page's controls specify. */
 typedef struct DaemonCore DaemonCore;
 
-/* Create the daemon's core. Return NULL if HAPTIC_CUSHION_PAGE is set but the page is unusable, if core_find
+/* Create the daemon's core. Return NULL if HAPTIC_CUSHION_PAGE is set and not empty, but the page is unusable, if core_find
  * is needed and finds no core, or if memory runs out. Allocates. */
 DaemonCore *daemon_core_open(unsigned long samplerate);
 void daemon_core_close(DaemonCore *daemon);
 void daemon_core_reset(DaemonCore *daemon);
 
-/* Process any number of frames. Real-time safe. A NULL input is silence; a NULL output is skipped. */
+/* Process any number of frames. Real-time safe. A NULL input is silence; a NULL output is skipped. A new
+ * design first processes 0.2 s of sound, then a cross-fade of 40 ms makes it audible. */
 void daemon_core_process(DaemonCore *daemon, float *const inputs[DAEMON_INPUTS],
                          float *const outputs[DAEMON_OUTPUTS], size_t frames);

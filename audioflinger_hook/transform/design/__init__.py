@@ -1,7 +1,5 @@
 """The design of the live form: its constants and tables for given parameters and samplerate."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any, get_type_hints
@@ -24,7 +22,7 @@ from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.principal import Spectrum
 from device.errors import UsageError
-from device.units import Records
+from device.units import FloatArray, Records
 
 __all__ = ["LiveDesign"]
 
@@ -72,7 +70,7 @@ class LiveDesign:
     @classmethod
     def of(
         cls, parameters: TransformParameters, samplerate: int, *, find_onsets: bool = True
-    ) -> LiveDesign:
+    ) -> "LiveDesign":
         """Return the design for parameters and a samplerate in Hz. The last 8 designs are cached.
 
         find_onsets: whether onsets are detected; if not, both latencies are equal.
@@ -87,7 +85,7 @@ class LiveDesign:
             for item in fields(section):
                 value = getattr(section, item.name)
                 # The value of a float parameter may be an integer.
-                found[item.name] = float(value) if item.type == "float" else value
+                found[item.name] = float(value) if item.type is float else value
         return found
 
     def to_bytes(self) -> bytes:
@@ -99,7 +97,7 @@ class LiveDesign:
         return {**{name: getattr(self, name) for name in TOP}, **self.settings()}
 
     @classmethod
-    def from_bytes(cls, data: bytes) -> LiveDesign:
+    def from_bytes(cls, data: bytes) -> "LiveDesign":
         """Return the design from the bytes of `to_bytes`. UsageError: the bytes are invalid."""
         values = blob.unpack(bytes(data))
         sections = {name: _section(kind, values) for name, kind in SECTIONS.items()}
@@ -128,8 +126,8 @@ SECTIONS: dict[str, Any] = {
 
 
 def _section(kind: Any, values: Records) -> Any:
-    types: dict[str, Any] = {"int": int, "float": float, "FloatArray": np.ndarray}
-    return kind(**{i.name: _taken(values, i.name, types[str(i.type)]) for i in fields(kind)})
+    types: dict[Any, Any] = {int: int, float: float, FloatArray: np.ndarray}
+    return kind(**{i.name: _taken(values, i.name, types[i.type]) for i in fields(kind)})
 
 
 def _taken(values: Records, name: str, kind: type) -> Any:

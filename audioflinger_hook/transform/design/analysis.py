@@ -1,7 +1,5 @@
 """Constants and tables of the input stage, the analysis of windows and the detection of onsets."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -76,7 +74,7 @@ class InputDesign:
     denormal_guard: float = DENORMAL_GUARD
 
     @classmethod
-    def of(cls, parameters: TransformParameters, samplerate: int) -> InputDesign:
+    def of(cls, parameters: TransformParameters, samplerate: int) -> "InputDesign":
         """Return the design for one samplerate in Hz."""
         # By Parseval's theorem, r <= max|x| fs sqrt(2.73/N) < max|x| fs.
         silence = parameters.live_threshold_hz / samplerate
@@ -105,7 +103,7 @@ class AnalysisDesign:
     image_turn: FloatArray  # phase rotations, see `window_tables`
 
     @classmethod
-    def of(cls, parameters: TransformParameters, spectrum: Spectrum, bins: int) -> AnalysisDesign:
+    def of(cls, parameters: TransformParameters, spectrum: Spectrum, bins: int) -> "AnalysisDesign":
         """Return the design for the first `bins` bins. `threshold_hz`: C_th of the live form."""
         first_bin, last_bin = bins_in_band(parameters, spectrum.bin_hz, bins)
         image_turn, image_table = window_tables(spectrum, bins)
@@ -179,7 +177,7 @@ class OnsetDesign:
         mapping: VibrationMapping,
         samplerate: int,
         find_onsets: bool,
-    ) -> OnsetDesign:
+    ) -> "OnsetDesign":
         """Return the design for a time grid and a samplerate in Hz."""
         old, new = (max(1, round(side * samplerate)) for side in (OLD_SIDE_S, NEW_SIDE_S))
         length = 2 * fast_length(max(2, -(-(old + new) // 2)))

@@ -1,7 +1,5 @@
 """Constants and tables for the measurement of loudness in each tick, in the bands of ISO 532-1."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -107,7 +105,7 @@ class LoudnessDesign:
     @classmethod
     def of(
         cls, followed: bool, grid: LiveGrid, onsets: OnsetDesign, samplerate: int
-    ) -> LoudnessDesign:
+    ) -> "LoudnessDesign":
         """Return the design for a time grid and a samplerate in Hz."""
         if not followed:
             return cls(*10 * (np.zeros(0),))

@@ -1,7 +1,5 @@
 """Constants and tables of the detection and attenuation of speech."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 
@@ -81,7 +79,7 @@ class SpeechDesign:
     speech_ramps: FloatArray = field(default_factory=lambda: np.array(list(RAMPS.values())))
 
     @classmethod
-    def of(cls, suppression_db: float, bin_hz: float, bins: int, hop_s: float) -> SpeechDesign:
+    def of(cls, suppression_db: float, bin_hz: float, bins: int, hop_s: float) -> "SpeechDesign":
         """Return the design for spectra with `bins` bins, one spectrum per hop."""
         octaves_hz = np.array(OCTAVES_HZ)
         edges = [min(bins, max(1, round(hz / bin_hz))) for hz in OCTAVES_HZ]

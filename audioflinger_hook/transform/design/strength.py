@@ -4,8 +4,6 @@ The programme level is a slow average of the peak loudness. The strength depends
 between the loudness and the programme level.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -126,7 +124,7 @@ class StrengthDesign:
     nothing: float = 1e-9  # sone; avoids a division by 0
 
     @classmethod
-    def of(cls, parameters: TransformParameters, grid: LiveGrid) -> StrengthDesign:
+    def of(cls, parameters: TransformParameters, grid: LiveGrid) -> "StrengthDesign":
         """Return the design for a time grid."""
         steps = np.arange(1.01 * parameters.vibration_top_hz / SynthesisDesign.gain_step_hz)
         programme_min = PROGRAMME_TOP_DB - parameters.loudness_db

@@ -1,7 +1,5 @@
 """Constants and tables of the time grid, the tracking of partials, and the synthesis."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,7 +69,7 @@ class LiveGrid:
     tick_s: float
 
     @classmethod
-    def at(cls, parameters: TransformParameters, samplerate: int) -> LiveGrid:
+    def at(cls, parameters: TransformParameters, samplerate: int) -> "LiveGrid":
         """Return the time grid for a samplerate in Hz."""
         window_frames = parameters.window_frames(samplerate)
         decimation = max(1, int(samplerate / LOW_RATE_HZ))
@@ -114,7 +112,7 @@ class TrackingDesign:
     joined_from: float = 1e-4  # onset partials merge only with partials above this amplitude
 
     @classmethod
-    def of(cls, parameters: TransformParameters, hop_s: float) -> TrackingDesign:
+    def of(cls, parameters: TransformParameters, hop_s: float) -> "TrackingDesign":
         """Return the design for hops of `hop_s` seconds."""
         return cls(
             hold_hops=max(1, round(parameters.window_s / hop_s)),
@@ -152,7 +150,7 @@ class SynthesisDesign:
     @classmethod
     def of(
         cls, parameters: TransformParameters, grid: LiveGrid, samplerate: int
-    ) -> SynthesisDesign:
+    ) -> "SynthesisDesign":
         """Return the design for a time grid and a samplerate in Hz."""
         top_hz = EDGE_MARGIN * parameters.vibration_top_hz
         low_rate_hz = samplerate / grid.decimation

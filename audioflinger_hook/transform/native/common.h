@@ -41,6 +41,10 @@ INLINED double larger(double one, double other) { return one > other ? one : oth
 
 INLINED double smaller(double one, double other) { return one < other ? one : other; }
 
+/* Return a polynomial that rises from 0 at x = 0 to 1 at x = 1. Slope and curvature are 0 at both ends, so
+ * that a fade along it adds least at high frequencies. */
+INLINED double smooth_step(double x) { return x * x * x * (10.0 + x * (6.0 * x - 15.0)); }
+
 INLINED double clip(double number, double low, double high) { return larger(low, smaller(high, number)); }
 
 /* Return the sum. The fixed order of additions gives the same bits on every machine. */

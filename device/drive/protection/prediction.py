@@ -147,9 +147,7 @@ def _cascade(sections: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, 
     return turn, enter, leave, through
 
 
-def _section(
-    section: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, float, FloatArray]:
+def _section(section: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float, FloatArray]:
     """Return one section's matrices, in a basis where |state| bounds |output|, and the basis."""
     b0, b1, b2, _, a1, a2 = section.tolist()
     own = np.array([[-a1, 1.0], [-a2, 0.0]])

@@ -9,15 +9,8 @@ from typing import Protocol
 import numpy as np
 
 from device.errors import BrokenStreamError, UsageError
+from device.identification.live import two_clocks
 from device.identification.live.exchange import Exchange
-from device.identification.live.two_clocks import (
-    Drift,
-    DropoutError,
-    check_latency,
-    find_delay,
-    find_drift,
-    resample_to_played,
-)
 from device.identification.recording import (
     PLAYED,
     Excitation,
@@ -142,7 +135,6 @@ class Transport(Protocol):
 
     def run(self, exchange: Exchange) -> None:
         """Run the exchange, then close both streams. Raises an error if a stream cannot open."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -167,15 +159,11 @@ class LiveLaboratory:
     ) -> None:
         self._transport, self._inputs = transport, inputs
         self._output_channel, self._amplifier = output_channel, amplifier
-        self._drifts: list[Drift] = []
+        self._drifts: list[two_clocks.Drift] = []
+        self.drift: two_clocks.Drift | None = None  # between the two clocks, in the last sweep
         self.delay_s = 0.0  # from the playing of a frame to its recording, in the last sweep
         self.current_turned = False  # whether the current was negated: a coil absorbs power
         self.repeated = 0  # number of sweeps that were repeated after frames were lost
-
-    @property
-    def drift(self) -> Drift | None:
-        """The drift between the two clocks in the last sweep."""
-        return self._drifts[-1] if self._drifts else None
 
     def measure(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
         """Return one recording for each pair (reference, response), scaled by `Inputs.scale`.
@@ -183,7 +171,7 @@ class LiveLaboratory:
         "drive" is the loop-back if there is one, else the played signal with an unknown delay.
         """
         for _ in range(MOST_TRIES - 1):
-            with suppress(BrokenStreamError, DropoutError):
+            with suppress(BrokenStreamError, two_clocks.DropoutError):
                 return self._measure_once(sweep, pairs)
             self.repeated += 1
         return self._measure_once(sweep, pairs)
@@ -204,17 +192,17 @@ class LiveLaboratory:
         # the channel in which the rig has the least effect on the playback
         clearest = next(name for name in reversed(QUANTITIES) if name in channels)
         after = channels[clearest][background:]
-        check_latency(excitation, after, clearest)
+        two_clocks.check_latency(excitation, after, clearest)
         for name, samples in channels.items():
             self._check_end(samples, background, name)
-        delay = find_delay(excitation, after, clearest)
-        drift = find_drift(excitation, after, delay, clearest)
+        delay = two_clocks.find_delay(excitation, after, clearest)
+        drift = two_clocks.find_drift(excitation, after, delay, clearest)
         self._compare(drift, clearest)
         self.delay_s = delay / sweep.samplerate
         first = background + delay + excitation.sweep_start * (1.0 + 1e-6 * drift.value)
         read = {
             name: self._inputs.scale(name)
-            * resample_to_played(samples, first, drift.value, sweep.frames)
+            * two_clocks.resample_to_played(samples, first, drift.value, sweep.frames)
             for name, samples in channels.items()
         }
         if {"voltage", "current"} <= set(read):
@@ -223,33 +211,25 @@ class LiveLaboratory:
                 read["current"] = -read["current"]
         read[PLAYED] = sweep.samples()
         read[DRIVE] = read.get("loopback", read[PLAYED])
-        return [self._recording(sweep, read, pair, hum_hz, drift) for pair in pairs]
-
-    def _recording(
-        self,
-        sweep: Sweep,
-        read: dict[str, FloatArray],
-        pair: tuple[str, str],
-        hum_hz: dict[str, float],
-        drift: Drift,
-    ) -> Recording:
-        reference, response = pair
-        limits = {name: self._inputs.scale(name) for name in hum_hz}
-        delayed = reference == PLAYED or (reference == DRIVE and "loopback" not in read)
-        found = Recording(
-            sweep,
-            read[reference],
-            read[response],
-            pair,
-            (limits.get(reference, math.inf), limits.get(response, math.inf)),
-            hum_hz=max(hum_hz.get(name, 0.0) for name in pair),
-            delayed=delayed,
-            polarity_known=response != "acceleration",
-            drift_reach=1e-6 * drift.reach if delayed else 0.0,
-        )
-        if reference in (DRIVE, PLAYED) and self._amplifier is not None:
-            found = through_amplifier(found, self._amplifier)
-        return found
+        limits = {name: self._inputs.scale(name) for name in channels}
+        recordings = []
+        for reference, response in pairs:
+            delayed = reference == PLAYED or (reference == DRIVE and "loopback" not in read)
+            found = Recording(
+                sweep,
+                read[reference],
+                read[response],
+                (reference, response),
+                (limits.get(reference, math.inf), limits.get(response, math.inf)),
+                hum_hz=max(hum_hz.get(name, 0.0) for name in (reference, response)),
+                delayed=delayed,
+                polarity_known=response != "acceleration",
+                drift_reach=1e-6 * drift.reach if delayed else 0.0,
+            )
+            if reference in (DRIVE, PLAYED) and self._amplifier is not None:
+                found = through_amplifier(found, self._amplifier)
+            recordings.append(found)
+        return recordings
 
     def _check_signal(self, samples: FloatArray, background: int, name: str) -> float:
         """Return the frequency of hum in Hz, or 0. IdentificationError: no signal, or loud hum."""
@@ -272,16 +252,17 @@ class LiveLaboratory:
                 "something else began to play or to move the cushion; stop it, and sweep again"
             )
 
-    def _compare(self, drift: Drift, name: str) -> None:
+    def _compare(self, drift: two_clocks.Drift, name: str) -> None:
         for before in self._drifts:
             change = abs(drift.value - before.value)
             if change > MOST_CHANGE_PPM + drift.reach + before.reach:
-                raise DropoutError(
+                raise two_clocks.DropoutError(
                     f"{name}: the clocks differ by {drift.value:+.0f} ppm, in an earlier sweep by "
                     f"{before.value:+.0f}: frames were lost or added; close other programs, and "
                     "sweep again"
                 )
         self._drifts.append(drift)
+        self.drift = drift
 
 
 def _check_hum(silence: FloatArray, loud: float, samplerate: float, name: str) -> float:

@@ -32,11 +32,8 @@ _ENCODINGS_2 = dict(enumerate(_ENCODINGS)) | {31: "raw data"}
 _ENCODINGS_3 = dict(enumerate((*_ENCODINGS, "DSD", "raw data")))
 
 
-class FeatureControl(IntEnum):
-    """A control of a feature unit; value: place in bit maps (1.0: 4.3.2.5; 2.0: 4.7.2.8)."""
-
-    MUTE = 0
-    VOLUME = 1
+# controls of a feature unit; value: place in bit maps (1.0: 4.3.2.5; 2.0: 4.7.2.8)
+FeatureControl = IntEnum("FeatureControl", "MUTE VOLUME", start=0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,9 @@ PROBLEMS_MAX = 200  # number of kept error texts of one configuration, enough fo
 DEVICE, CONFIGURATION, INTERFACE, ENDPOINT, ASSOCIATION = 0x01, 0x02, 0x04, 0x05, 0x0B
 CS_INTERFACE, CS_ENDPOINT = 0x24, 0x25
 
+# USB 2.0, tables 9-8, 9-10, 9-12 and 9-13; associations: USB 2.0 ECN
+LEAST_BYTES = {DEVICE: 18, CONFIGURATION: 9, INTERFACE: 9, ENDPOINT: 7, ASSOCIATION: 8}
+
 _NAMES = {
     DEVICE: "device",
     CONFIGURATION: "configuration",

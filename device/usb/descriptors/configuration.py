@@ -11,31 +11,10 @@ _CONTROL, _STREAMING = 0x01, 0x02
 UAC_OF_PROTOCOL = {0x00: 1, 0x20: 2, 0x30: 3}  # by bInterfaceProtocol; other values count as 1
 
 
-class Transfer(IntEnum):
-    """The transfer type of an endpoint."""
-
-    CONTROL = 0
-    ISOCHRONOUS = 1
-    BULK = 2
-    INTERRUPT = 3
-
-
-class Synchronisation(IntEnum):
-    """The synchronisation type of an isochronous endpoint."""
-
-    NONE = 0
-    ASYNCHRONOUS = 1
-    ADAPTIVE = 2
-    SYNCHRONOUS = 3
-
-
-class Usage(IntEnum):
-    """The usage type of an isochronous endpoint."""
-
-    DATA = 0
-    FEEDBACK = 1
-    IMPLICIT_FEEDBACK = 2
-    RESERVED = 3
+# types of an endpoint; the last two are valid for isochronous endpoints only
+Transfer = IntEnum("Transfer", "CONTROL ISOCHRONOUS BULK INTERRUPT", start=0)
+Synchronisation = IntEnum("Synchronisation", "NONE ASYNCHRONOUS ADAPTIVE SYNCHRONOUS", start=0)
+Usage = IntEnum("Usage", "DATA FEEDBACK IMPLICIT_FEEDBACK RESERVED", start=0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +35,7 @@ class Endpoint:
     offset: int
     address: int
     transfer: Transfer
-    synchronisation: Synchronisation  # valid for isochronous endpoints only, like usage
+    synchronisation: Synchronisation
     usage: Usage
     packet_bytes: int  # largest number of bytes per (micro)frame
     interval: int

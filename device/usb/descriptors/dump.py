@@ -10,14 +10,7 @@ ignored. Words before a colon are comments, too, unless they are an address.
 
 import re
 
-from device.usb.descriptors.blocks import (
-    ASSOCIATION,
-    CONFIGURATION,
-    DEVICE,
-    ENDPOINT,
-    INTERFACE,
-    DescriptorError,
-)
+from device.usb.descriptors.blocks import LEAST_BYTES, DescriptorError
 
 _DUMP_BYTES = 32
 _RAW_TYPES = (b"\x01", b"\x02")  # second byte of a device or configuration, never of a text
@@ -39,9 +32,7 @@ _JUNK = re.compile(
 )
 
 _BYTES_OF_PREFIX = {"w": 2, "wa": 2, "t": 3, "d": 4, "dw": 4, "id": 2, "bcd": 2}
-_LEAST_BYTES = {DEVICE: 18, CONFIGURATION: 9, INTERFACE: 9, ENDPOINT: 7, ASSOCIATION: 8}
 _SUPER_SPEED = 0x0300
-
 
 # a comment, or the text that hexdump -C prints after a bar, whichever begins first
 _COMMENT = re.compile(r"/\*.*?(?:\*/|$)|(?:#|//|;|\|).*")
@@ -149,7 +140,7 @@ class _Lsusb:
         """End the current descriptor; bytes that lsusb does not show become 0."""
         if self._open:
             shown, length = len(self._open), self._open[0]
-            least = _LEAST_BYTES.get(self._open[1] if shown > 1 else 0, 2)
+            least = LEAST_BYTES.get(self._open[1] if shown > 1 else 0, 2)
             if shown < least:
                 raise DescriptorError(
                     f"lsusb text, line {self._line}: {shown} of {least} bytes are shown of the "

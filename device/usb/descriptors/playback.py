@@ -1,9 +1,8 @@
 """Playable formats, one for each alternate setting that receives samples."""
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
-from device.usb.descriptors.audio_class import INPUT, FeatureControl, RateRange
+from device.usb.descriptors.audio_class import INPUT, FeatureControl, RateRange, StreamFormat
 from device.usb.descriptors.configuration import (
     Configuration,
     Endpoint,
@@ -84,17 +83,7 @@ def playback_formats(configuration: Configuration) -> tuple[PlaybackFormat, ...]
     return tuple(found)
 
 
-class _Samples(NamedTuple):
-    """The sample format of an alternate setting, as in `PlaybackFormat`."""
-
-    encodings: tuple[str, ...]
-    channels: int
-    subslot_bytes: int
-    bits: int
-    samplerates: tuple[int, ...] | RateRange | None
-
-
-def _samples(interface: Interface, endpoint: Endpoint) -> _Samples | None:
+def _samples(interface: Interface, endpoint: Endpoint) -> StreamFormat | None:
     """Return the sample format of an alternate setting; None if it is incomplete or not of type I.
 
     A setting of 3.0 without a general descriptor has a basic profile: PCM at 48 kHz. Its channels
@@ -103,25 +92,22 @@ def _samples(interface: Interface, endpoint: Endpoint) -> _Samples | None:
     general, stream_format = interface.general, interface.format
     if interface.uac == 3:
         if general:
-            samples = _Samples(general.encodings, 0, general.subslot_bytes, general.bits, None)
+            samples = StreamFormat(general.subslot_bytes, general.bits)
         else:
             frame_bytes = endpoint.packet_bytes // _BASIC_FRAMES
             channels, size = _BASIC_FRAME_BYTES.get(frame_bytes, (0, 0))
-            samples = _Samples(("PCM",), channels, size, 8 * size, (1_000 * _BASIC_FRAMES,))
+            samples = StreamFormat(size, 8 * size, channels, (1_000 * _BASIC_FRAMES,))
         return samples if samples.subslot_bytes else None
     if not general or not stream_format or not stream_format.subslot_bytes:
         return None
-    channels = general.channels or stream_format.channels or 0
-    if not channels:
-        return None
-    size, bits = stream_format.subslot_bytes, stream_format.bits
-    return _Samples(general.encodings, channels, size, bits, stream_format.samplerates)
+    total = general.channels or stream_format.channels
+    return replace(stream_format, channels=total) if total else None
 
 
 def _playback(
     interface: Interface,
     endpoint: Endpoint,
-    samples: _Samples,
+    samples: StreamFormat,
     function: Topology | None,
     implicit: dict[int, int],
 ) -> PlaybackFormat:
@@ -143,6 +129,11 @@ def _playback(
         alternate=interface.alternate,
         endpoint_address=endpoint.address,
         uac=interface.uac,
+        encodings=general.encodings if general else ("PCM",),
+        channels=samples.channels or 0,
+        subslot_bytes=samples.subslot_bytes,
+        bits=samples.bits,
+        samplerates=samples.samplerates,
         channel_config=channel_config,
         packet_bytes_max=endpoint.packet_bytes,
         interval=endpoint.interval,
@@ -156,7 +147,6 @@ def _playback(
         feature_unit=unit.id if unit else None,
         volume_channels=unit.settable(FeatureControl.VOLUME) if unit else (),
         mute_channels=unit.settable(FeatureControl.MUTE) if unit else (),
-        **samples._asdict(),
     )
 
 

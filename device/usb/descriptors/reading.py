@@ -4,12 +4,7 @@ import struct
 from dataclasses import dataclass, replace
 from itertools import chain
 
-from device.usb.descriptors.audio_class import (
-    read_entity,
-    read_format,
-    read_general,
-    read_header,
-)
+from device.usb.descriptors.audio_class import read_entity, read_format, read_general, read_header
 from device.usb.descriptors.blocks import (
     ASSOCIATION,
     CONFIGURATION,
@@ -17,6 +12,7 @@ from device.usb.descriptors.blocks import (
     DEVICE,
     ENDPOINT,
     INTERFACE,
+    LEAST_BYTES,
     Block,
     DescriptorError,
     Findings,
@@ -35,10 +31,6 @@ from device.usb.descriptors.configuration import (
 )
 from device.usb.descriptors.playback import playback_formats
 from device.values import counted
-
-# USB 2.0, tables 9-8, 9-10, 9-12 and 9-13; associations: USB 2.0 ECN
-_DEVICE_BYTES, _CONFIGURATION_BYTES, _INTERFACE_BYTES, _ENDPOINT_BYTES = 18, 9, 9, 7
-_ASSOCIATION_BYTES = 8
 
 _BYTES_MAX = 0xFFFF  # largest wTotalLength; later bytes are not read
 
@@ -84,10 +76,11 @@ def parse_configuration(raw: bytes, begins_at: int = 0) -> Configuration:
     extra bytes beyond a descriptor's standard length.
     DescriptorError: the bytes do not begin with a configuration descriptor.
     """
-    if len(raw) < _CONFIGURATION_BYTES or raw[0] < _CONFIGURATION_BYTES or raw[1] != CONFIGURATION:
+    least = LEAST_BYTES[CONFIGURATION]
+    if len(raw) < least or raw[0] < least or raw[1] != CONFIGURATION:
         raise DescriptorError(
             f"no configuration at 0x{begins_at:04x}: {counted(len(raw), 'bytes')} there, "
-            f"{raw[:2].hex(' ') or 'none'} first; needed: {_CONFIGURATION_BYTES} or more, 09 02 "
+            f"{raw[:2].hex(' ') or 'none'} first; needed: {least} or more, 09 02 "
             "first, as in /sys/bus/usb/devices/PORT/descriptors"
         )
     findings = Findings(begins_at)
@@ -103,7 +96,7 @@ def parse_configuration(raw: bytes, begins_at: int = 0) -> Configuration:
         if block.type in (INTERFACE, ASSOCIATION):
             interfaces += _interface(group)
             group = []
-        if block.type == ASSOCIATION and block.holds(_ASSOCIATION_BYTES):
+        if block.type == ASSOCIATION and block.holds(LEAST_BYTES[ASSOCIATION]):
             associations.append(range(block.raw[2], block.raw[2] + block.raw[3]))
         group.append(block)
     interfaces += _interface(group)
@@ -114,17 +107,18 @@ def parse_configuration(raw: bytes, begins_at: int = 0) -> Configuration:
 
 def parse_device(raw: bytes) -> DeviceDescriptor:
     """Return the device descriptor at the start of the bytes. DescriptorError: there is none."""
-    if len(raw) < _DEVICE_BYTES or raw[0] < _DEVICE_BYTES or raw[1] != DEVICE:
+    least = LEAST_BYTES[DEVICE]
+    if len(raw) < least or raw[0] < least or raw[1] != DEVICE:
         raise DescriptorError(
             f"no device descriptor: {counted(len(raw), 'bytes')} there, "
-            f"{raw[:2].hex(' ') or 'none'} first; needed: {_DEVICE_BYTES} or more, 12 01 first"
+            f"{raw[:2].hex(' ') or 'none'} first; needed: {least} or more, 12 01 first"
         )
     return DeviceDescriptor(*struct.unpack_from("<2xH4xHHH3xB", raw))
 
 
 def _interface(group: list[Block]) -> list[Interface]:
     """Return the alternate setting that a group of descriptors describes, in a list, or []."""
-    if not group or group[0].type != INTERFACE or not group[0].holds(_INTERFACE_BYTES):
+    if not group or group[0].type != INTERFACE or not group[0].holds(LEAST_BYTES[INTERFACE]):
         for block in group:
             if block.type == ENDPOINT:
                 block.note("it belongs to no interface; it is ignored")
@@ -139,7 +133,7 @@ def _interface(group: list[Block]) -> list[Interface]:
     endpoints = tuple(
         _endpoint(block)
         for block in others
-        if block.type == ENDPOINT and block.holds(_ENDPOINT_BYTES)
+        if block.type == ENDPOINT and block.holds(LEAST_BYTES[ENDPOINT])
     )
     interface = replace(interface, endpoints=endpoints)
     own = [block for block in others if block.type == CS_INTERFACE]
@@ -190,7 +184,7 @@ def parse_whole(raw: bytes) -> WholeDevice:
     configurations: list[Configuration] = []
     while at < len(raw):
         end = at + int.from_bytes(raw[at + 2 : at + 4], "little")
-        if end < at + _CONFIGURATION_BYTES or raw[end : end + 2] != raw[at : at + 2]:
+        if end < at + LEAST_BYTES[CONFIGURATION] or raw[end : end + 2] != raw[at : at + 2]:
             end = len(raw)
         try:
             configurations.append(parse_configuration(raw[at:end], at))

@@ -1,7 +1,9 @@
 """Which sound cards there are, what they offer, and who plays there."""
 
 import os
+import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -24,8 +26,7 @@ def cards(tmp_path: Path) -> Cards:
 def test_every_card_is_listed_with_what_it_is(cards):
     first, second = alsa.list_cards(cards.root)
     assert (first.number, first.id, first.driver) == (0, "PCH", "HDA-Intel")
-    assert (second.number, second.id) == (31, "DAC")
-    assert second.name == "DAC card"
+    assert (second.number, second.id, second.name) == (31, "DAC", "DAC card")
     assert [str(one) for one in alsa.list_devices(first)] == ["hw:PCH,0", "hw:PCH,3"]
     assert alsa.list_devices(first)[1].name == "output 3"
 
@@ -75,33 +76,24 @@ def test_an_input_is_found_by_its_cards_name_and_offers_its_own_formats(cards, t
     capture = alsa.find_capture("DAC", cards.root)
     assert (str(capture), capture.folder.name) == ("hw:DAC,0", "pcm0c")
     assert alsa.why_blocked(capture, tmp_path) is None
-    stream = read_usb_stream(capture)
-    assert stream is not None
+    stream: Any = read_usb_stream(capture)
     assert stream.formats == (UsbFormat(2, 1, ("S16_LE",), 1, Rates((8_000,)), 0, "SYNC"),)
     cards.use(31, 77, "pcm0c")
     assert "hw:DAC,0 is in use" in (alsa.why_blocked(capture, tmp_path, tmp_path) or "")
     assert alsa.why_blocked(alsa.find_playback("DAC", cards.root), tmp_path) is None
 
 
-def test_a_usb_card_tells_its_formats_and_only_those_of_playback():
-    stream = parse_usb_stream(ASYNC)
+def test_a_usb_card_tells_only_its_formats_of_playback_and_a_range_of_rates_is_one():
+    first, second, third = parse_usb_stream(ASYNC).formats
     rates = Rates((44_100, 48_000, 88_200, 96_000, 176_400, 192_000))
-    assert stream.formats[:2] == (
-        UsbFormat(1, 1, ("S16_LE",), 2, rates, 16, "ASYNC"),
-        UsbFormat(1, 2, ("S32_LE",), 2, rates, 24, "ASYNC"),
-    )
-    assert stream.formats[2].formats == ("SPECIAL", "DSD_U32_BE")
-    assert len(stream.formats) == 3
-    assert parse_usb_stream(RUNNING).formats == stream.formats
-
-
-def test_a_range_of_rates_is_one():
+    assert first == UsbFormat(1, 1, ("S16_LE",), 2, rates, 16, "ASYNC")
+    assert second == UsbFormat(1, 2, ("S32_LE",), 2, rates, 24, "ASYNC")
+    assert third.formats == ("SPECIAL", "DSD_U32_BE")
+    assert parse_usb_stream(RUNNING).formats == (first, second, third)
     (found,) = parse_usb_stream(ADAPTIVE).formats
-    assert found == UsbFormat(
-        1, 1, ("S24_3LE", "S16_LE"), 8, Rates(least=8000, most=96_000), 0, "ADAPTIVE"
-    )
-    assert 44_100 in found.rates
-    assert 96_001 not in found.rates
+    rates = Rates(least=8_000, most=96_000)
+    assert found == UsbFormat(1, 1, ("S24_3LE", "S16_LE"), 8, rates, 0, "ADAPTIVE")
+    assert (44_100 in rates, 96_001 in rates) == (True, False)
 
 
 @pytest.mark.parametrize(
@@ -154,8 +146,7 @@ def test_a_free_card_has_no_owner_and_a_taken_one_is_refused(cards, tmp_path):
     cards.use(31, os.getpid())
     found = alsa.find_owner(playback)
     assert found is not None
-    assert found.process == os.getpid()
-    assert found.name
+    assert (found.process, bool(found.name)) == (os.getpid(), True)
     assert f"hw:DAC,0 is in use by {found}" in (alsa.why_blocked(playback, tmp_path) or "")
 
 
@@ -172,9 +163,8 @@ def test_the_owner_of_a_card_is_the_process_of_the_thread_that_opened_it(cards, 
 
 
 def test_a_card_with_a_free_substream_is_free(cards):
-    other = cards.root / "card31/pcm0p/sub1"
-    other.mkdir()
-    (other / "status").write_text("closed\n")
+    (cards.root / "card31/pcm0p/sub1").mkdir()
+    (cards.root / "card31/pcm0p/sub1/status").write_text("closed\n")
     cards.use(31, 1)
     assert alsa.find_owner(alsa.find_playback("DAC", cards.root)) is None
 
@@ -183,8 +173,7 @@ def test_a_device_file_that_may_not_be_opened_is_told(cards, tmp_path, monkeypat
     (tmp_path / "pcmC31D0p").touch()
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     refused = alsa.why_blocked(alsa.find_playback("DAC", cards.root), tmp_path) or ""
-    assert "this user may not open hw:DAC,0" in refused
-    assert "join the group audio" in refused
+    assert re.search("this user may not open hw:DAC,0.*join the group audio", refused)
 
 
 def test_an_open_card_tells_how_it_was_opened(cards):

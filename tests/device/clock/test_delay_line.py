@@ -47,10 +47,8 @@ def test_it_plays_once_it_knows_both_sides_and_is_on_target_a_second_later():
     for seed in range(4):
         course = two_clocks(-300, 2 * MS, 8.0, seed=seed)
         assert np.abs(course.after(1.7)).max() < 0.44 * MS
-        locked = course.states.index(DelayState.LOCKED)
-        assert course.time_s[locked] < 4.5
-        settling = course.states.index(DelayState.SETTLING)
-        assert course.time_s[settling] < 0.75
+        assert course.time_s[course.states.index(DelayState.LOCKED)] < 4.5
+        assert course.time_s[course.states.index(DelayState.SETTLING)] < 0.75
 
 
 @EXHAUSTIVE
@@ -100,8 +98,7 @@ BLOCKS: dict[str, Any] = {
 @pytest.mark.parametrize("name", BLOCKS)
 def test_the_target_is_the_sum_of_blocks_lateness_and_offset_and_is_kept(name):
     options, writer, reader, (target_s, tolerance_s, limit_s) = BLOCKS[name]
-    line = DelayLine(1, 48_000, 48_000, **options)
-    course = run(line, writer, reader, 30.0)
+    course = run(DelayLine(1, 48_000, 48_000, **options), writer, reader, 30.0)
     assert course.last.target_s == pytest.approx(target_s, abs=tolerance_s)
     assert course.last.delay_s == pytest.approx(course.last.target_s, abs=limit_s)
     assert np.abs(course.after(15.0)).max() < limit_s

@@ -18,15 +18,13 @@ def test_blocks_of_any_length_join_to_the_same_frames_as_one(blocks, step, start
     parts.jump_to(start)
     expected = np.empty((sum(blocks), 2), np.float32)
     whole.read(expected, step)
-    got = np.empty_like(expected)
-    first = 0
+    got, first = np.empty_like(expected), 0
     for frames in blocks:
         parts.read(got[first : first + frames], step)
         first += frames
     # Sums of 1300 steps are rounded in another order: a billionth of a frame.
     np.testing.assert_allclose(got, expected, atol=2e-6)
-    moved = parts.position - start + parts.fraction
-    assert moved == pytest.approx(sum(blocks) * step, abs=1e-8)
+    assert (parts.position - start + parts.fraction) == pytest.approx(sum(blocks) * step, abs=1e-8)
     assert 0.0 <= parts.fraction < 1.0
 
 
@@ -46,11 +44,9 @@ def test_readable_is_as_much_as_needs_no_frame_that_is_not_there(written, step, 
 @settings(max_examples=40)
 @given(st.lists(st.integers(0, 500), max_size=10))
 def test_the_ring_holds_the_newest_frames_whatever_the_blocks(blocks):
-    ring = NewestFrames(128, 1)
-    written = 0
+    ring, written = NewestFrames(128, 1), 0
     for frames in blocks:
-        block = np.arange(written, written + frames, dtype=np.float32)[:, np.newaxis]
-        written = ring.store(block)
+        written = ring.store(np.arange(written, written + frames, dtype=np.float32)[:, np.newaxis])
     assert ring.claimed == written == sum(blocks)
     for frame in range(max(0, ring.oldest), written):
         assert ring.frames[frame % 128, 0] == frame

@@ -86,8 +86,7 @@ def test_a_jump_that_was_announced_begins_a_new_line_with_the_first_late_callbac
 @pytest.mark.sweep
 @pytest.mark.parametrize("seconds", [2.1, 0.5, 1.7, 1.9])
 def test_a_backlog_of_any_length_is_forgotten_a_fifth_of_a_second_later(seconds):
-    side = Side(jitter_s=0.0005, pauses=((20.0, 20.0 + seconds),))
-    now, error, _ = errors(side, 30.0)
+    now, error, _ = errors(Side(jitter_s=0.0005, pauses=((20.0, 20.0 + seconds),)), 30.0)
     assert np.abs(error[now > 20.2 + seconds]).max() < 0.001
 
 
@@ -124,15 +123,12 @@ def test_one_callback_in_two_thousand_is_not_provided_for_and_one_in_five_hundre
         assert lateness_of(late_s).estimate_s == pytest.approx(estimate_s, abs=0.0002)
 
 
-def test_lateness_has_bounds_and_old_lateness_is_forgotten():
+def test_lateness_has_bounds_is_forgotten_and_counts_once_after_a_pause():
     assert lateness_of([-1.0, 0.0] * 5_000).estimate_s == LEAST_S
     assert lateness_of([7.0] * 5_000).estimate_s == 0.05
     # Twelve half-lives make the first 25 s less than a thousandth.
     lateness = lateness_of([0.01] * 5_000 + [0.002] * 150_000)
     assert lateness.estimate_s == pytest.approx(0.002, abs=0.0002)
-
-
-def test_all_callbacks_after_one_pause_count_as_one():
     lateness = Lateness(0.05)
     for number in range(4_000):
         lateness.add(0.04 if 2_000 <= number < 2_015 else 0.001, 0.005, 2_000 <= number < 2_015)

@@ -1,5 +1,7 @@
 """Several actuators: routing, level, polarity, delay, their own rigs, and their channels."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,17 +16,13 @@ from device.rig import CONSUMER, PAPER
 from device.rig.simulated_rig import SimulatedRig
 from tests.support.outputs import KeptOutput
 from tests.support.signals import tone
+from tests.support.taps import noise
 from tools.rig_driver import RigDriver
 
 RATE = 8_000
-LEVEL_FADE_S, TAP_FADE_S = 0.01, 0.02
+FADE_S = 0.04
 LEFT = ActuatorSettings((0,), "left")
 RIGHT = ActuatorSettings((1,), "right")
-
-
-def noise(frames, columns, seed=1):
-    values = np.random.default_rng(seed).uniform(-0.5, 0.5, (frames, columns))
-    return values.astype(np.float32)
 
 
 def cut(signal, lengths):
@@ -36,19 +34,13 @@ def cut(signal, lengths):
         start, turn = stop, turn + 1
 
 
-def test_an_actuator_without_wishes_gets_its_source_bit_for_bit_and_at_once():
-    vibration = noise(9_000, 2)
-    drive = Drive([RIGHT, LEFT], RATE)
-    assert drive.sources == ("left", "right")
-    assert drive.latency_frames == 0
+def test_an_actuator_gets_its_source_bit_for_bit_and_the_level_polarity_and_delay_it_asks_for():
+    vibration, drive = noise(9_000, 2), Drive([RIGHT, LEFT], RATE)
+    assert (drive.sources, drive.latency_frames) == (("left", "right"), 0)
     assert np.array_equal(drive.process(vibration), vibration[:, ::-1])
-
-
-def test_level_polarity_and_delay_are_those_asked_for():
     one = ActuatorSettings((0,), "mix", gain_db=-6.0, polarity="inverted", delay_ms=12.5)
     vibration = noise(3_000, 1)
-    out = Drive([one], RATE).process(vibration)
-    late = round(12.5e-3 * RATE)
+    out, late = Drive([one], RATE).process(vibration), round(12.5e-3 * RATE)
     assert not out[:late].any()
     expected = -(10.0 ** (-6.0 / 20.0)) * vibration[:-late].astype(float)
     np.testing.assert_allclose(out[late:], expected, atol=1e-7)  # float32 of what is below 0.5
@@ -85,29 +77,28 @@ def test_no_byte_depends_on_how_the_stream_is_cut_with_changes_in_it(
 
 
 @pytest.mark.parametrize(
-    ("changed", "fade_s"),
+    "changed",
     [
-        (ActuatorSettings((0,), "left", gain_db=-20.0), LEVEL_FADE_S),
-        (ActuatorSettings((0,), "left", polarity="inverted"), LEVEL_FADE_S),
-        (ActuatorSettings((0,), "left", delay_ms=7.3), TAP_FADE_S),
-        (ActuatorSettings((0,), "right"), TAP_FADE_S),
+        ActuatorSettings((0,), "left", gain_db=-20.0),
+        ActuatorSettings((0,), "left", polarity="inverted"),
+        ActuatorSettings((0,), "left", delay_ms=7.3),
+        ActuatorSettings((0,), "right"),
     ],
     ids=["level", "polarity", "delay", "source"],
 )
-def test_a_change_makes_no_step_and_is_done_within_its_time(changed, fade_s):
+def test_a_change_makes_no_step_and_is_done_within_its_time(changed):
     wave = tone(60.0, 1.0, RATE, 0.5).astype(np.float32)
-    vibration = np.column_stack([wave, -wave])
-    drive = Drive([LEFT, RIGHT, LEFT], RATE)
+    vibration, drive = np.column_stack([wave, -wave]), Drive([LEFT, RIGHT, LEFT], RATE)
     before = drive.process(vibration[:4_001])
     drive.change([changed, RIGHT, LEFT])
-    after = drive.process(vibration[4_001:])
-    heard = np.concatenate([before, after])[:, 0].astype(float)
-    done = 4_001 + round(fade_s * RATE)
+    heard = np.concatenate([before, drive.process(vibration[4_001:])])[:, 0].astype(float)
+    done = 4_001 + round(FADE_S * RATE)
     settled = Drive([changed, RIGHT, LEFT], RATE).process(vibration)[:, 0]
     np.testing.assert_allclose(heard[done:], settled[done:], atol=1e-7)
     steepest = np.abs(np.diff(wave.astype(float))).max()
-    # From one end of the wave to the other in a straight line over 10 ms, on top of the wave.
-    assert np.abs(np.diff(heard)).max() < steepest + 1.01 / (LEVEL_FADE_S * RATE)
+    # From one end of the wave to the other, on top of the wave. The steepest slope of the fade is
+    # 15 / 8 of the mean.
+    assert np.abs(np.diff(heard)).max() < steepest + 15 / 8 / (FADE_S * RATE)
     assert np.array_equal(heard[:4_001], vibration[:4_001, 0])
 
 
@@ -118,9 +109,17 @@ def test_of_several_changes_within_a_fade_the_last_one_stays():
         drive.process(wave[:10])
         drive.change([ActuatorSettings((0,), delay_ms=delay_ms)])
     drive.process(wave[:1_000])
-    heard = drive.process(wave[1_000:])
-    late = round(20e-3 * RATE)
+    heard, late = drive.process(wave[1_000:]), round(20e-3 * RATE)
     assert np.array_equal(heard[late:], wave[1_000:-late])
+
+
+def test_a_level_that_changes_again_before_it_is_reached_has_no_bend():
+    drive, heard = Drive([ActuatorSettings((0,))], RATE), []
+    for gain_db in (0.0, -40.0, 0.0, -6.0, -3.0):
+        drive.change([ActuatorSettings((0,), gain_db=gain_db)])
+        heard.append(drive.process(np.ones((123, 1), np.float32)))
+    bend = np.abs(np.diff(np.concatenate(heard)[:, 0].astype(float), 2)).max()
+    assert bend < 6.0 / (FADE_S * RATE) ** 2 * 1.1  # that of a whole fade, and float32's rounding
 
 
 def test_who_needs_no_protection_waits_for_those_who_do():
@@ -131,8 +130,7 @@ def test_who_needs_no_protection_waits_for_those_who_do():
     ]
     drive = Drive(wanted, RATE)
     late = drive.latency_frames
-    assert late == 2 * round(0.002 * RATE)
-    assert drive.delays_frames == (0, 0, 80)
+    assert (late, drive.delays_frames) == (2 * round(0.002 * RATE), (0, 0, 80))
     vibration = 0.1 * noise(2_000, 1)
     out = np.concatenate([drive.process(vibration), drive.drain()])
     assert len(out) == 2_000 + late + 80, "the longest delay is drained, too"
@@ -150,9 +148,8 @@ def test_each_has_the_rig_and_the_care_of_its_own():
     drive = Drive(wanted, RATE, rig="paper", protection="on", exposure_cap="action")
     vibration = tone(45.0, 0.5, RATE).astype(np.float32)[:, None]
     out = drive.process(vibration)
-    consumer, damped, plain = drive.processors
-    assert consumer is not None
-    assert damped is not None
+    processors: Any = drive.processors
+    consumer, damped, plain = processors
     assert (consumer.rig.name, damped.rig.name, plain) == ("consumer", "paper", None)
     assert (consumer.exposure_cap, damped.exposure_cap) == ("action", "limit")
     alone = RigDriver(CONSUMER, RATE)
@@ -163,8 +160,7 @@ def test_each_has_the_rig_and_the_care_of_its_own():
 
 @pytest.mark.parametrize(("gain_db", "is_limited"), [(0.0, True), (-40.0, False)])
 def test_protection_sees_what_is_left_after_the_level(gain_db, is_limited):
-    one = ActuatorSettings((0,), rig="consumer", protection="on", gain_db=gain_db)
-    drive = Drive([one], RATE)
+    drive = Drive([ActuatorSettings((0,), rig="consumer", protection="on", gain_db=gain_db)], RATE)
     drive.process(tone(45.0, 0.5, RATE).astype(np.float32)[:, None])
     (processor,) = drive.processors
     assert processor is not None
@@ -207,10 +203,9 @@ def test_what_one_actuator_cannot_have_is_refused(choices, words):
 
 def test_other_actuators_and_blocks_of_another_shape_are_refused():
     drive = Drive([LEFT], RATE)
-    with pytest.raises(InternalError, match="cannot change"):
-        drive.change([LEFT, RIGHT])
-    with pytest.raises(InternalError, match="cannot change"):
-        drive.change([RIGHT])
+    for others in ([LEFT, RIGHT], [RIGHT]):
+        with pytest.raises(InternalError, match="cannot change"):
+            drive.change(others)
     with pytest.raises(InternalError, match="shape"):
         drive.process(np.zeros((10, 2), np.float32))
 
@@ -223,12 +218,10 @@ def test_actuators_reach_the_channels_they_are_wired_to_and_others_stay_silent()
     # Without wiring they repeat.
     assert ChannelMap.repeated(2, 5) == ChannelMap(2, (0, 1, 0, 1, 0))
 
-
-def test_channels_go_by_the_names_that_the_device_has_for_them():
+    # Channels may go by the names that the device has for them.
     positions = ("front-left", "front-right", "lfe")
     assert ChannelMap.of([["lfe"], [0]], 3, positions).sources == (1, None, 0)
-    assert channels_needed([["lfe"], [0, 4]]) == 5
-    assert channels_needed([["lfe"]]) == 1
+    assert (channels_needed([["lfe"], [0, 4]]), channels_needed([["lfe"]])) == (5, 1)
 
 
 @pytest.mark.parametrize(
@@ -272,17 +265,15 @@ def test_files_have_what_each_channel_would_get_under_its_sound_and_as_long_as_i
         ActuatorSettings((0,), "right", polarity="inverted"),
     ]
     channel_map = ChannelMap.of([actuator.channels for actuator in wanted], 3)
-    kept = KeptOutput(RATE, 3)
-    drive = Drive(wanted, RATE)
+    kept, drive = KeptOutput(RATE, 3), Drive(wanted, RATE)
     output = DrivenOutput(AlignedOutput(kept, drive.latency_frames), drive, channel_map)
     vibration = 0.1 * noise(1_000, 2)
     for part in cut(vibration, [300, 77]):
         before = part.copy()
         output.write(part)
         assert np.array_equal(part, before)
-    assert (output.samplerate, output.channels) == (RATE, 2)
     output.close()
-    assert kept.ended == ["closed"]
+    assert (output.samplerate, output.channels, kept.ended) == (RATE, 2, ["closed"])
     assert kept.whole.shape == (1_000, 3)
     assert np.array_equal(kept.whole[:, 0], -vibration[:, 1])
     assert not kept.whole[:, 1].any()
@@ -333,12 +324,10 @@ def test_without_a_wish_the_drive_is_the_identity_without_a_copy(frames, channel
     drive = Drive((), RATE, channels)
     bits = np.random.default_rng(seed).integers(0, 2**32, (frames, channels), np.uint32)
     for part in cut(bits.view(np.float32), lengths):  # any bits: infinities and NaNs too
-        before = part.tobytes()
-        out = drive.process(part)
+        before, out = part.tobytes(), drive.process(part)
         assert out is part
         assert out.tobytes() == before
-    assert drive.latency_frames == 0
-    assert drive.drain().shape == (0, channels)
+    assert (drive.latency_frames, drive.drain().shape) == (0, (0, channels))
 
 
 @pytest.mark.parametrize("asked", [{"protection": "on"}, {"damping": "auto"}])
@@ -353,8 +342,7 @@ def test_one_actuator_for_the_mix_plays_what_an_unnamed_one_does(asked):
 
 def test_an_unnamed_actuator_has_one_protection_for_all_channels_of_the_vibration():
     drive = Drive((), RATE, 2, protection="on")
-    assert len(drive.processors) == 1
-    assert (drive.inputs, drive.outputs) == (2, 2)
+    assert (len(drive.processors), drive.inputs, drive.outputs) == (1, 2, 2)
     vibration = noise(1_000, 2)
     out = np.concatenate([drive.process(part) for part in cut(vibration, [77])])
     late = drive.latency_frames
@@ -364,13 +352,11 @@ def test_an_unnamed_actuator_has_one_protection_for_all_channels_of_the_vibratio
 
 @pytest.mark.parametrize(("sources", "is_shared"), [(1, True), (3, True), (2, False)])
 def test_a_direct_map_lets_the_device_be_filled_without_a_copy(sources, is_shared):
-    filled = []
+    out, shared = np.zeros((64, 3), np.float32), []
 
-    def fill(out, now_s):
-        filled.append(out)
-        out[:] = 0.25
+    def fill(filled, now_s):
+        shared.append(np.shares_memory(filled, out))
+        filled[:] = 0.25
 
-    out = np.zeros((64, 3), np.float32)
     ChannelRouter(()).connect(fill, ChannelMap.repeated(sources, 3), 64)(out, 0.0)
-    assert np.shares_memory(filled.pop(), out) == is_shared
-    assert (out == 0.25).all()
+    assert (shared, (out == 0.25).all()) == ([is_shared], True)

@@ -15,6 +15,7 @@ from tools.bench.sections.protection import drives
 from tools.bench.sounds.signals import SAMPLERATE
 
 MOST = {"excursion": 1.0, "current": 1.0, "coil_c": Limits.coil_temperature_c, "infeasible": 0}
+CAPS = pytest.mark.parametrize("cap", ["off", "action"])
 
 
 def check_limits(found, cap):
@@ -28,9 +29,6 @@ def check_limits(found, cap):
         assert all(one.gain < 1.0 for one in found)
         assert max(one.dose.vdv for one in found) < ACTION_VDV
         assert max(one.dose.a8_m_s2 for one in found) < ACTION_A8_M_S2
-
-
-CAPS = pytest.mark.parametrize("cap", ["off", "action"])
 
 
 @pytest.mark.parametrize(
@@ -59,12 +57,11 @@ def test_no_drive_of_a_generator_takes_a_rig_that_is_a_tenth_off_beyond_a_limit(
 
 @CAPS
 def test_no_drive_of_the_bench_takes_a_rig_that_is_a_tenth_off_beyond_a_limit(cap):
-    share = 0.0 if cap == "off" else 0.9
+    share, rig, found = 0.0 if cap == "off" else 0.9, RIGS[0], []
     dose = DoseSums(0.0, share * ACTION_A8_M_S2**2 * DAY_S, share * ACTION_VDV**4)
-    rig, begins = RIGS[0], SafetyState(119.0, 60.0, dose)
-    found = []
     for mass, f0, force_factor in product((1.0 - OFF, 1.0 + OFF), repeat=3):
         true = replace(rig, actuator=vary(rig.actuator, mass, f0**2, force_factor))
+        begins = SafetyState(119.0, 60.0, dose)
         cases = [Case(name, drive, rig, true, begins) for name, drive in drives().items()]
         found += driven(cases, SAMPLERATE, cap)
     check_limits(found, cap)

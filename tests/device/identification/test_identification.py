@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -103,11 +104,10 @@ def test_a_spring_that_hardens_adds_orders_and_a_linear_one_adds_none():
     for recording in (linear, hardens):
         (third,) = (found for found in measure_distortion(recording) if found.order == 3)
         thirds.append(float(np.interp(30.0, third.frequencies_hz, third.share)))
-    assert thirds[1] > 5.0 * thirds[0]
-    assert thirds[1] > 3.0 * np.interp(30.0, third.frequencies_hz, third.floor)
+    floor = np.interp(30.0, third.frequencies_hz, third.floor)
+    assert thirds[1] > max(5.0 * thirds[0], 3.0 * floor)
     seconds = [assess_quality(one).harmonics[0].largest_share for one in (linear, hardens)]
-    assert seconds[0] < 0.001
-    assert 0.005 < seconds[1] < 0.15
+    assert seconds[0] < 0.001 < 0.005 < seconds[1] < 0.15
 
 
 @pytest.mark.exhaustive
@@ -128,22 +128,17 @@ def test_the_jacobians_are_the_derivatives(shifts):
     coil = responses.admittance(f, np.log([7.0, 40.0, 5.0, 6.0, 1e-3]), responses.PLAIN)[0]
     first = (responses.MODE, responses.LAG, responses.DELAY, responses.EDDY)
     last = (responses.high_pass(8.0), responses.load(coil), responses.SEAT)
-    everything = responses.product(*first, *last)
-    cases = [
-        (everything, [0.5, 4.3, 1.0, -8.0, 0.4, -6.0, -5.8, 1.2, 0.1, *seat]),
-        *(
-            (lambda f, p, law=law: responses.admittance(f, p, law), start)
-            for law, start in (
-                (responses.PLAIN, [1.2, 4.5, 2.0, 1.8, -7.0, *seat]),
-                (responses.PARALLEL, [1.2, 4.5, 2.0, 1.8, -7.0, -7.0, 5.0, *seat]),
-                (responses.POWER, [1.2, 4.5, 2.0, 1.8, 0.3, -0.4, *seat]),
-                (responses.DOUBLE, [1.2, 4.5, 2.0, 1.8, -7.0, -7.5, -8.0, 4.0, 6.0, *seat]),
-                (responses.MIXED, [1.2, 4.5, 2.0, 1.8, -7.0, 0.3, -0.4, *seat]),
-            )
-        ),
-    ]
+    cases = [(responses.product(*first, *last), [0.5, 4.3, 1.0, -8.0, 0.4, -6.0, -5.8, 1.2, 0.1])]
+    for law, coils in (
+        (responses.PLAIN, [-7.0]),
+        (responses.PARALLEL, [-7.0, -7.0, 5.0]),
+        (responses.POWER, [0.3, -0.4]),
+        (responses.DOUBLE, [-7.0, -7.5, -8.0, 4.0, 6.0]),
+        (responses.MIXED, [-7.0, 0.3, -0.4]),
+    ):
+        cases.append((partial(responses.admittance, law=law), [1.2, 4.5, 2.0, 1.8, *coils]))
     for model, start in cases:
-        p = np.array(start) + np.array(shifts)[: len(start)]
+        p = np.array([*start, *seat]) + np.array(shifts)[: len(start) + len(seat)]
         slopes = model(f, p)[1]
         for index, step in enumerate(1e-6 * np.eye(len(p))):
             difference = (model(f, p + step)[0] - model(f, p - step)[0]) / 2e-6
@@ -153,10 +148,9 @@ def test_the_jacobians_are_the_derivatives(shifts):
 def test_what_was_identified_is_read_back_from_the_rigs_file_with_its_interval(tmp_path):
     values = {"actuator.resonance_hz": Estimate(91.5, 91.2, 91.7)}
     rig = mechanics.add_values(PAPER, values, 'sweep "one" at 0.05 Xmax')
-    mechanics.write_rig(rig, tmp_path / "mine.toml")
+    (tmp_path / "mine.toml").write_text(mechanics.format_rig(rig))
     read = read_rig(tmp_path / "mine.toml")
-    assert read == rig
-    assert read.actuator.resonance_hz == 91.5
+    assert (read, read.actuator.resonance_hz) == (rig, 91.5)
     derived = ("actuator.q_electrical", "actuator.q_total")
     assert {*read.sources} == {s for s in rig.sources if s.parameter not in derived}
     (source,) = (s for s in read.sources if s.parameter == "actuator.resonance_hz")
@@ -204,18 +198,16 @@ def test_an_interval_that_is_too_wide_gives_no_number(monkeypatch):
     recording = weak.measure(short, [("voltage", "current")])[0]
     with pytest.raises(IdentificationError, match=r"not identified|does not converge|outside"):
         identify_impedance(recording)
-    noisy = SimulatedLaboratory(PAPER, snr_db=6.0).measure(
-        replace(short, duration_s=0.5), [ACCELERATION]
-    )[0]
+    shorter = replace(short, duration_s=0.5)
+    noisy = SimulatedLaboratory(PAPER, snr_db=6.0).measure(shorter, [ACCELERATION])[0]
     monkeypatch.setattr(acceleration, "WIDEST_F0", 1e-5)  # else the signal would be refused first
-    message = refused(noisy)
-    assert "is not identified: its interval of 95 % is ±" in message
-    assert "is allowed; raise the level" in message
+    words = "is not identified: its interval of 95 % is ±.*is allowed; raise the level"
+    with pytest.raises(IdentificationError, match=words):
+        identify_mode(noisy, X_MAX_M)
 
 
-@pytest.mark.exhaustive
-def test_a_recording_that_is_none_is_refused():
-    sweep = Sweep(low_hz=15.0, high_hz=400.0, duration_s=0.5)
+def test_a_recording_that_is_none_and_a_sweep_out_of_range_are_refused():
+    sweep = replace(SWEEP, duration_s=0.5)
     silence = np.zeros(sweep.frames)
     with pytest.raises(IdentificationError, match=r"drive has shape \(3,\)"):
         Recording(sweep, np.zeros(3), silence)
@@ -223,13 +215,8 @@ def test_a_recording_that_is_none_is_refused():
     broken[5:7] = math.nan
     with pytest.raises(IdentificationError, match="acceleration: 2 samples are not finite"):
         Recording(sweep, silence, broken)
-
-
-def test_a_sweep_out_of_range_is_refused_with_every_value():
-    with pytest.raises(UsageError) as caught:
+    with pytest.raises(UsageError, match=r"low_hz=0\.0.*high_hz=30000\.0.*duration_s=nan.*level=2"):
         Sweep(low_hz=0.0, high_hz=30_000.0, duration_s=math.nan, level=2.0)
-    for name in ("low_hz=0.0", "high_hz=30000.0", "duration_s=nan", "level=2.0"):
-        assert name in str(caught.value)
     with pytest.raises(UsageError, match=r"share=0\.3 of Xmax must be above 0, up to 0\.15"):
         SimulatedLaboratory(PAPER).sweep_at_excursion(SWEEP, 0.3)
     with pytest.raises(UsageError, match=r"describes no \[accelerometer\]"):

@@ -13,7 +13,7 @@ from device.identification.calibration import STEPS, calibrate
 from device.identification.live.exchange import Exchange
 from device.identification.live.laboratory import MOST_TRIES, Inputs, LiveLaboratory
 from device.identification.live.two_clocks import find_delay, find_drift, resample_to_played
-from device.identification.mechanics import write_rig
+from device.identification.mechanics import format_rig
 from device.identification.output_error import Estimate
 from device.identification.recording import Excitation, Sweep
 from device.identification.transfer import assess_quality
@@ -26,6 +26,8 @@ from tests.support.simulated_devices import BLOCK, RATE, SimulatedDevices
 from tools.rig_driver import RigDriver
 
 EXHAUSTIVE = pytest.mark.exhaustive
+MODES: dict[Any, Any] = {}
+"""The modes by what they were identified from."""
 
 SCALES = {"full_scale_v": 1.0, "acceleration_v_per_m_s2": 0.005}
 SCALES |= {"shunt_ohm": 0.1, "voltage_ratio": 20.0}
@@ -40,32 +42,33 @@ WEAK = {"acceleration": 0.002}
 
 OTHER_SOURCES = (one for one in PAPER.sources if not one.parameter.startswith("actuator."))
 KNOWN = replace(PAPER, sources=tuple(OTHER_SOURCES))
+OWN = Inputs.parse("-,acceleration")
+"""An acceleration without a sensitivity."""
+STRONG: dict[str, Any] = {"gain": 20.0, "low_cut_hz": 3.0, "output_limit_v": 40.0}
+LOUD = replace(CONSUMER, amplifier=replace(CONSUMER.amplifier, **STRONG))
+COIL = {"inductance_h": 5e-4, "inductance_eddy_h": 1.5e-3, "resistance_eddy_ohm": 1.5}
+EDDY = replace(PAPER, actuator=replace(PAPER.actuator, **COIL))
+NOTHING = {"gains": {"acceleration": 0.0}, "noise": 0.0}
+LOOPBACK: dict[int, Any] = {}
+"""Blocks of the loopback, which come before those of the acceleration."""
 
 
 def calibrated(devices, rig=PAPER, sweep=SWEEP, inputs=None, **options):
     inputs = inputs or devices.inputs
     laboratory = LiveLaboratory(devices, inputs, 0, rig.amplifier)
-    return calibrate(
-        laboratory, rig, sweep, pairs=inputs.pairs, scaled=inputs.acceleration_scaled, **options
-    )
-
-
-@pytest.fixture(scope="module")
-def modes():
-    """The modes by what they were identified from."""
-    return {}
+    options |= {"pairs": inputs.pairs, "scaled": inputs.acceleration_scaled}
+    return calibrate(laboratory, rig, sweep, **options)
 
 
 @pytest.fixture
-def fitted_once(modes, monkeypatch):
+def fitted_once(monkeypatch):
     """Recordings of the same bytes are fitted once in all tests: their files' coils differ."""
-    fit = acceleration.identify_mode
 
     def identify_mode(recording, x_max_m, **options):
         known = recording.reference.tobytes(), recording.response.tobytes(), x_max_m, str(options)
-        if known not in modes:
-            modes[known] = fit(recording, x_max_m, **options)
-        return modes[known]
+        if known not in MODES:
+            MODES[known] = acceleration.identify_mode(recording, x_max_m, **options)
+        return MODES[known]
 
     monkeypatch.setattr(calibration, "identify_mode", identify_mode)
 
@@ -91,22 +94,17 @@ def hum_of(hz, level, harmonics=(1, 3), channel="acceleration"):
 def test_acceleration_current_and_voltage_give_the_whole_actuator_in_its_file(rig, tmp_path):
     found = calibrated(SimulatedDevices(rig, ALL, drift_ppm=60.0), rig)
     assert len(found.values) == (7 if rig is PAPER else 8)  # one has no source impedance
-    write_rig(found.rig, tmp_path / "mine.toml")
+    (tmp_path / "mine.toml").write_text(format_rig(found.rig))
     again = read_rig(tmp_path / "mine.toml")
     assert again == found.rig
     for parameter, estimate in found.values.items():
         stage, name = parameter.split(".")
         true = getattr(getattr(rig, stage), name)
-        limit = 0.005 if name == "resonance_hz" else 0.02
-        assert estimate.value == pytest.approx(true, rel=limit)
+        assert estimate.value == pytest.approx(true, rel=0.005 if name == "resonance_hz" else 0.02)
         assert estimate.low <= true <= estimate.high
         assert getattr(getattr(again, stage), name) == estimate.value
     (source,) = (one for one in again.sources if one.parameter == "actuator.resonance_hz")
     assert source.kind == "identified"
-
-
-OWN = Inputs.parse("-,acceleration")
-"""An acceleration without a sensitivity."""
 
 
 @pytest.mark.exhaustive
@@ -133,13 +131,10 @@ def test_f0_and_q_need_neither_one_clock_nor_a_polarity_nor_a_sensitivity(inputs
 
 
 @pytest.mark.exhaustive
-def test_what_follows_from_an_assumed_coil_is_called_assumed_and_gives_the_measured_mode(
-    fitted_once,
-):
+def test_what_follows_from_an_assumed_coil_is_assumed_and_gives_the_measured_mode(fitted_once):
     # the file's coil is wrong, and whoever reads it learns that it was assumed
     wrong = replace(PAPER, actuator=replace(PAPER.actuator, force_factor_n_per_a=8.5))
-    devices = SimulatedDevices(PAPER, ALONE)
-    found = calibrated(devices, wrong)
+    found = calibrated(SimulatedDevices(PAPER, ALONE), wrong)
     assert found.matched
     assert found.values == {}
     kinds = {source.parameter: source.kind for source in found.rig.sources}
@@ -150,9 +145,7 @@ def test_what_follows_from_an_assumed_coil_is_called_assumed_and_gives_the_measu
 
 
 @pytest.mark.exhaustive
-def test_a_known_coil_makes_the_mechanics_of_the_acceleration_identified_if_it_can_be_so(
-    fitted_once,
-):
+def test_a_known_coil_makes_the_mechanics_identified_if_the_acceleration_shows_them(fitted_once):
     devices = SimulatedDevices(PAPER, ALONE)
     found = calibrated(devices, KNOWN)
     assert devices.levels == pytest.approx([0.01, 0.02, 0.04], rel=0.01)  # they rise to the wanted
@@ -170,14 +163,11 @@ def test_a_known_coil_makes_the_mechanics_of_the_acceleration_identified_if_it_c
 def test_voltage_and_current_alone_give_the_impedance_and_with_a_weighed_mass_bl():
     # the shunt is connected the other way round: a coil takes power, so that is seen
     devices = SimulatedDevices(PAPER, ELECTRICAL, gains={"current": -1.0})
-    found = calibrated(devices)
-    assert sorted(found.values) == [
-        f"actuator.{name}"
-        for name in ("inductance_h", "q_mechanical", "resistance_ohm", "resonance_hz")
-    ] + ["amplifier.gain"]
-    weighed = Estimate(0.25, 0.245, 0.255)
-    found = calibrated(devices, weighed=weighed)
-    assert found.values["actuator.force_factor_n_per_a"].value == pytest.approx(10.0, rel=0.02)
+    names = ("inductance_h", "q_mechanical", "resistance_ohm", "resonance_hz")
+    found = sorted(calibrated(devices).values)
+    assert found == [*(f"actuator.{name}" for name in names), "amplifier.gain"]
+    values = calibrated(devices, weighed=Estimate(0.25, 0.245, 0.255)).values
+    assert values["actuator.force_factor_n_per_a"].value == pytest.approx(10.0, rel=0.02)
 
 
 @pytest.mark.exhaustive
@@ -192,12 +182,6 @@ def test_distortion_and_coherence_are_said_of_every_recording():
     assert [second.order for second in seconds] == [2, 2]
     assert seconds[1].largest_share > max(0.01, 10.0 * seconds[0].largest_share)
     assert clean[0].coherence > 0.99
-
-
-STRONG: dict[str, Any] = {"gain": 20.0, "low_cut_hz": 3.0, "output_limit_v": 40.0}
-LOUD = replace(CONSUMER, amplifier=replace(CONSUMER.amplifier, **STRONG))
-COIL = {"inductance_h": 5e-4, "inductance_eddy_h": 1.5e-3, "resistance_eddy_ohm": 1.5}
-EDDY = replace(PAPER, actuator=replace(PAPER.actuator, **COIL))
 
 
 @pytest.mark.parametrize("rig", [LOUD, pytest.param(EDDY, marks=EXHAUSTIVE)])
@@ -254,9 +238,9 @@ def test_weak_hum_changes_nothing(hz, channel, level):
 @pytest.mark.parametrize(("level", "played"), [(0.06, True), (0.3, True), (8.0, False)])
 def test_loud_hum_is_named_with_its_frequency(level, played):
     devices = SimulatedDevices(PAPER, ALONE, change=hum_of(60.0, level))
-    message = refused(devices)
-    assert message.startswith("acceleration: mains hum of 60 Hz, ")
-    assert "at most 5 % is allowed; break the ground loop" in message
+    words = "^acceleration: mains hum of 60 Hz, .*at most 5 % is allowed; break the ground loop"
+    with pytest.raises(IdentificationError, match=words):
+        calibrated(devices)
     assert bool(np.any(devices.played)) == played
 
 
@@ -270,9 +254,6 @@ def other_sound(name, samples, first):
     return loud * np.random.default_rng(first).standard_normal(len(samples))
 
 
-NOTHING = {"gains": {"acceleration": 0.0}, "noise": 0.0}
-
-
 @pytest.mark.parametrize(
     ("inputs", "how", "words"),
     [
@@ -282,6 +263,7 @@ NOTHING = {"gains": {"acceleration": 0.0}, "noise": 0.0}
         (ALL, {"gains": {"current": 0.0}, "noise": 1e-6}, "^current: no signal"),
         (ALONE, NOTHING, "^acceleration: no signal"),
         (ALONE, {"change": other_sound}, "^acceleration does not follow the sweep"),
+        (LOOP, {"change": lambda _, new, at: LOOPBACK.setdefault(at, new)}, "is the drive itself"),
     ],
 )
 def test_what_cannot_be_measured_ends_it_before_anything_louder_is_played(inputs, how, words):
@@ -298,35 +280,23 @@ def test_what_cannot_be_measured_ends_it_before_anything_louder_is_played(inputs
 def test_a_resistance_that_no_coil_has_is_laid_to_the_shunt():
     # the real one is 0.01 ohm, a digit was lost
     devices = SimulatedDevices(PAPER, ELECTRICAL, gains={"current": 0.01}, noise=1e-7)
-    message = refused(devices)
-    assert message.startswith("resistance_ohm=3")
-    assert "correct --shunt-ohm" in message
+    with pytest.raises(IdentificationError, match=r"^resistance_ohm=3.*correct --shunt-ohm"):
+        calibrated(devices)
 
 
-def test_a_rig_that_would_move_too_far_is_never_driven_so_far():
+def test_a_rig_that_would_move_too_far_or_does_not_follow_the_level_is_driven_no_louder():
     devices = SimulatedDevices(PAPER, ALONE)
     small = replace(PAPER, actuator=replace(PAPER.actuator, x_max_m=1e-5))
-    assert "lower the level" in refused(devices, small)
-    assert devices.runs == 1
-
-
-def test_a_response_that_does_not_grow_with_the_level_ends_it():
+    assert ("lower the level" in refused(devices, small), devices.runs) == (True, 1)
     devices = SimulatedDevices(PAPER, ALONE)
     devices.change = lambda name, samples, first: samples / devices.runs
     assert "acceleration grew by 1, but the level by 2" in refused(devices)
     assert devices.runs == 2
 
 
-def test_the_drive_itself_is_no_acceleration():
-    loopback: dict[int, Any] = {}  # comes before the acceleration
-    devices = SimulatedDevices(PAPER, LOOP, change=lambda _, new, at: loopback.setdefault(at, new))
-    assert "is the drive itself" in refused(devices)
-
-
 def test_clipping_is_silence_in_the_very_next_block_and_the_last_that_is_played():
     devices = SimulatedDevices(PAPER, ALONE, gains={"acceleration": 2000.0})
-    assert "clips at" in refused(devices)
-    assert devices.runs == 1
+    assert ("clips at" in refused(devices), devices.runs) == (True, 1)
     assert np.any(devices.played[: devices.ended_at])
     assert not np.any(devices.played[devices.ended_at :])
 
@@ -345,8 +315,7 @@ def test_whoever_interrupts_it_makes_the_very_next_block_silent():
 def test_an_input_that_stands_still_ends_the_sweep_within_half_a_second():
     devices = SimulatedDevices(PAPER, ALONE, stands_still=300)
     assert "the input stopped" in refused(devices, error=LostError)
-    sounding = np.flatnonzero(devices.played.any(axis=1))
-    assert sounding[-1] / RATE < 300 * BLOCK / RATE + 0.6
+    assert np.flatnonzero(devices.played.any(axis=1))[-1] / RATE < 300 * BLOCK / RATE + 0.6
 
 
 def test_an_output_that_stands_still_ends_it_and_the_first_error_is_kept():
@@ -366,8 +335,8 @@ def test_an_output_that_stands_still_ends_it_and_the_first_error_is_kept():
 @pytest.mark.parametrize("frames", [256, 64, 4800])
 def test_a_dropout_is_refused_and_nothing_louder_is_played(frames):
     devices = SimulatedDevices(PAPER, ALONE, lost={int(2.0 * RATE): frames}, loses_always=True)
-    message = refused(devices)
-    assert "lost" in message or "cannot be compared" in message
+    with pytest.raises(IdentificationError, match=r"lost|cannot be compared"):
+        calibrated(devices)
     assert devices.levels == pytest.approx([STEPS[0] * SWEEP.level] * MOST_TRIES, rel=0.01)
 
 
@@ -416,8 +385,8 @@ def test_channels_that_are_swapped_give_no_number_and_are_a_thing_to_check(wired
 @pytest.mark.parametrize(("low_hz", "high_hz"), [(120.0, 500.0), (10.0, 60.0)])
 def test_a_resonance_outside_the_band_is_refused_without_a_number(low_hz, high_hz):
     sweep = replace(SWEEP, low_hz=low_hz, high_hz=high_hz)
-    message = refused(SimulatedDevices(PAPER, ALL), sweep=sweep)
-    assert "outside the band" in message or "does not" in message or "unexplained" in message
+    with pytest.raises(IdentificationError, match=r"outside the band|does not|unexplained"):
+        calibrated(SimulatedDevices(PAPER, ALL), sweep=sweep)
 
 
 @pytest.mark.sweep
@@ -431,19 +400,15 @@ def test_the_drift_of_two_clocks_is_found_to_a_few_ppm(drift_ppm):
     assert laboratory.delay_s == pytest.approx(0.0634, abs=0.012)  # with the block and the ring
 
 
-def test_marks_far_apart_are_compared_whatever_lies_between():
+def test_marks_far_apart_are_compared_and_a_recording_is_brought_to_the_played_clock():
     excitation = Excitation(SWEEP)
     channel = np.concatenate([np.zeros(1234), excitation.samples, np.zeros(4000)])
     assert find_delay(excitation, channel, "x") == 1234
     assert abs(find_drift(excitation, channel, 1234, "x").value) < 0.01
-
-
-def test_a_recording_on_the_played_clock_is_as_if_there_was_one():
     at = np.arange(60_000)
     smooth = np.sin(2.0 * np.pi * 300.0 * (at / (1.0 + 150e-6)) / RATE)
     shown = resample_to_played(smooth, 1000.0 * (1.0 + 150e-6), 150.0, 50_000)
-    exact = np.sin(2.0 * np.pi * 300.0 * (1000.0 + at[:50_000]) / RATE)
-    assert np.abs(shown - exact).max() < 1e-6
+    assert np.abs(shown - np.sin(2.0 * np.pi * 300.0 * (1000.0 + at[:50_000]) / RATE)).max() < 1e-6
 
 
 def test_samples_are_between_the_levels_and_silence_surrounds_the_sweep():
@@ -463,8 +428,7 @@ def test_callbacks_allocate_no_recording():
         exchange.fill(out, number * BLOCK / RATE)
         exchange.on_frames(heard, number * BLOCK / RATE)
     assert exchange._recorded is before
-    assert exchange.ended.is_set()
-    assert exchange.error is None
+    assert (exchange.ended.is_set(), exchange.error) == (True, None)
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from tools.bench.sections.model_selection import block_errors
 EXHAUSTIVE = pytest.mark.exhaustive
 assert PAPER.thermal
 THERMAL = PAPER.thermal
+MODELS = st.sampled_from(["linear", "nonlinear"])
 
 
 def swell(duration_s=1.6):
@@ -57,8 +58,7 @@ def scenes(duration_s):
     for random in map(np.random.default_rng, range(round(4 * duration_s))):
         level_v = 40.0 * 10.0 ** random.uniform(-3.0, 0.0)
         parts.append(level_v * edge * np.sin(math.tau * 20.0 * 11.0 ** random.random() * times))
-    bursts = np.concatenate(parts)
-    part = times_of(FS, duration_s / 5)
+    bursts, part = np.concatenate(parts), times_of(FS, duration_s / 5)
     levels = ((15, 90), (3, 40), (0.5, 33), (8, 60), (0.2, 120))
     squares = [level_v * np.sign(np.sin(math.tau * hz * part + 1e-9)) for level_v, hz in levels]
     return {
@@ -76,16 +76,14 @@ def scenes(duration_s):
 
 # 10 scenes of 15 s at six tolerances, 1 500 blocks at each; in `make soak` of 40 s.
 @pytest.mark.parametrize(
-    "duration_s",
-    [5, pytest.param(15, marks=EXHAUSTIVE), pytest.param(40, marks=pytest.mark.soak)],
+    "duration_s", [5, pytest.param(15, marks=EXHAUSTIVE), pytest.param(40, marks=pytest.mark.soak)]
 )
 @pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=lambda rig: rig.name)
 @pytest.mark.parametrize("scene", [*scenes(5), "swell on a seat"])
 def test_no_block_is_beyond_the_tolerance(scene, rig, duration_s):
     name, _, seat = scene.partition(" on a ")
     volts = scenes(duration_s)[name]
-    fine = AdaptiveActuator(rig, FS, model="nonlinear", refine=1, seat=bool(seat))
-    true = fine.move(volts)
+    true = AdaptiveActuator(rig, FS, model="nonlinear", refine=1, seat=bool(seat)).move(volts)
     for tolerance in (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 1e-4):
         actuator = AdaptiveActuator(rig, FS, tolerance, seat=bool(seat))
         wrong = block_errors(actuator.reports, actuator.move(volts), true, rig.actuator)
@@ -113,8 +111,7 @@ def test_the_dearer_model_runs_only_where_it_has_to():
     assert min(used.values()) > 0
     assert tight.frames_by_model["nonlinear"] > used["nonlinear"]
     assert sum(used.values()) == sum(report.frames for report in loose.reports) == len(swell())
-    times = times_of(FS, 3.0)
-    actuator = AdaptiveActuator(PAPER, FS, 1e-2)
+    times, actuator = times_of(FS, 3.0), AdaptiveActuator(PAPER, FS, 1e-2)
     actuator.move(np.where(times < 1.5, 12.0, 0.05) * np.sin(math.tau * 70.0 * times))
     assert {one.model for one in actuator.reports if one.frame < FS} == {"nonlinear"}
     assert {one.model for one in actuator.reports if one.frame > 1.8 * FS} == {"linear"}
@@ -127,8 +124,7 @@ def test_where_the_model_changes_the_motion_goes_on(rig, tolerance):
     envelope = 0.4 + 3.0 * np.sin(math.pi * times / 1.6) ** 2
     volts = envelope * (np.sin(math.tau * 46.6 * times) + np.sin(math.tau * 92.0 * times))
     actuator = AdaptiveActuator(rig, FS, tolerance)
-    motion = actuator.move(volts)
-    pairs = pairwise(actuator.reports)
+    motion, pairs = actuator.move(volts), pairwise(actuator.reports)
     changes = [report.frame for before, report in pairs if report.model != before.model]
     assert changes or tolerance < 1e-2
     for rows, allowed in ((columns(motion)[:3], 1e-3), (columns(motion)[3:], tolerance)):
@@ -142,11 +138,7 @@ def test_where_the_model_changes_the_motion_goes_on(rig, tolerance):
 
 
 @settings(max_examples=8, deadline=None)
-@given(
-    st.lists(st.integers(0, 9_600), max_size=9),
-    st.sampled_from(["linear", "nonlinear"]),
-    st.booleans(),
-)
+@given(st.lists(st.integers(0, 9_600), max_size=9), MODELS, st.booleans())
 def test_one_model_gives_the_same_bytes_however_the_signal_is_split(cuts, model, seat):
     volts, names = tones(6.0, times_of(FS, 0.2)), ("displacement_m", "acceleration_m_s2")
     whole, cut = (AdaptiveActuator(PAPER, FS, model=model, seat=seat) for _ in range(2))
@@ -196,10 +188,8 @@ def test_coil_and_magnet_warm_up_by_their_equations_in_steps_of_any_length(step_
 
     def slope(_, warm_k):
         onward_w = (warm_k[0] - warm_k[1]) / p.coil_k_per_w
-        return [
-            (10.0 - onward_w) / p.coil_j_per_k,
-            (onward_w - warm_k[1] / p.magnet_k_per_w) / p.magnet_j_per_k,
-        ]
+        magnet_w = onward_w - warm_k[1] / p.magnet_k_per_w
+        return [(10.0 - onward_w) / p.coil_j_per_k, magnet_w / p.magnet_j_per_k]
 
     solved = solve_ivp(slope, (0.0, step_s * steps), [0.0, 0.0], "LSODA", rtol=1e-10, atol=1e-10)
     assert [warm.coil_k, warm.magnet_k] == pytest.approx(solved.y[:, -1], rel=1e-7)

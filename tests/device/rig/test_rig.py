@@ -11,6 +11,8 @@ from device.errors import UsageError
 from device.rig import CONSUMER, PAPER, rig_by_name
 from device.rig.parameters import detune
 
+ACTUATOR = PAPER.actuator
+
 
 @pytest.mark.parametrize(
     ("actuator", "electrical", "total"),
@@ -25,19 +27,21 @@ def test_actuators_have_the_quality_factors_that_their_tables_state(actuator, el
     assert actuator.q_total() == pytest.approx(total, abs=0.005)
 
 
-def test_stiffness_and_damping_give_back_resonance_and_quality():
-    actuator = PAPER.actuator
-    mass, stiffness = actuator.moving_mass_kg, actuator.stiffness_n_per_m
+def test_stiffness_and_damping_give_back_resonance_and_quality_and_follow_a_detuned_rig():
+    mass, stiffness = ACTUATOR.moving_mass_kg, ACTUATOR.stiffness_n_per_m
     assert math.sqrt(stiffness / mass) / math.tau == pytest.approx(90.0, rel=1e-14)
-    quality = math.sqrt(stiffness * mass) / actuator.damping_n_s_per_m
+    quality = math.sqrt(stiffness * mass) / ACTUATOR.damping_n_s_per_m
     assert quality == pytest.approx(8.0, rel=1e-14)
+    rig = detune(ACTUATOR, -0.1)
+    assert rig.resonance_hz == pytest.approx(81.0)
+    assert rig.moving_mass_kg == ACTUATOR.moving_mass_kg
+    assert rig.damping_n_s_per_m == pytest.approx(ACTUATOR.damping_n_s_per_m, rel=1e-12)
 
 
 @given(st.floats(0, 1e9))
 def test_a_source_impedance_damps_less(source_impedance_ohm):
-    actuator = PAPER.actuator
-    total = actuator.q_total(source_impedance_ohm)
-    assert actuator.q_total() <= total <= actuator.q_mechanical
+    total = ACTUATOR.q_total(source_impedance_ohm)
+    assert ACTUATOR.q_total() <= total <= ACTUATOR.q_mechanical
 
 
 def test_a_rig_is_found_by_its_name_only():
@@ -45,13 +49,6 @@ def test_a_rig_is_found_by_its_name_only():
     assert rig_by_name("consumer") is CONSUMER
     with pytest.raises(UsageError, match="no rig is named 'Paper'; choose one of: paper"):
         rig_by_name("Paper")
-
-
-def test_a_detuned_rig_has_the_same_mass_and_friction():
-    rig = detune(PAPER.actuator, -0.1)
-    assert rig.resonance_hz == pytest.approx(81.0)
-    assert rig.moving_mass_kg == PAPER.actuator.moving_mass_kg
-    assert rig.damping_n_s_per_m == pytest.approx(PAPER.actuator.damping_n_s_per_m, rel=1e-12)
 
 
 @pytest.mark.parametrize(

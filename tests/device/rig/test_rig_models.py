@@ -16,9 +16,9 @@ from device.errors import UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.actuator import QUANTITIES, LinearActuator
 from device.rig.adaptive_actuator import STATE_NUMBERS, AdaptiveActuator, ModelDesign
-from device.rig.co_energy import Arctangent, Hardening, Line, Stops, Tanh, energies, linear_energies
+from device.rig.co_energy import Arctangent, Hardening, Line, Stops, Tanh, energies
 from device.rig.equations import Equations
-from tests.support.co_energy import stored_energy_j
+from tests.support.rig_soak import stored_energy_j
 from tools.bench.measures.solved_motion import solved_motion
 from tools.bench.sections.model_selection import hard_drives
 
@@ -26,6 +26,16 @@ FS = 48_000
 SEAT = "seat_acceleration_m_s2"
 assert PAPER.large_signal
 LARGE = PAPER.large_signal
+# White noise has a corner at every sample. Where a current settles within a sample, or where a hard
+# stop turns the motion round within some, a step sees less than a whole curve.
+LARGEST = {"white noise of 20 V": 1e-5, "hard stops, 100 V": 3e-5}
+LARGEST |= {"inductance of 1 uH": 2e-5, "current drive, 3300 ohm": 2e-6}
+Q_1000 = {"q_mechanical": 1_000.0, "force_factor_n_per_a": 0.5}
+SMALL_H = {"inductance_h": 1e-6}
+HARD = {"Q 1000": Q_1000, "1 uH": SMALL_H, "Q 1000 and 1 uH": Q_1000 | SMALL_H, "hard stops": {}}
+HARD |= {"overdamped": {"force_factor_n_per_a": 60.0, "inductance_h": 1e-4}}
+ENERGIES = energies(PAPER.actuator, PAPER.large_signal)
+SHAPES = [Line(10.0), Hardening(8e4, 2e10), Arctangent(10.0, 2.6e-3), Tanh(1e-3, 0.3, 1.5e-3)]
 
 
 def times_of(samplerate, duration_s):
@@ -60,21 +70,10 @@ def test_the_non_linear_model_solves_the_equations(rig, seat):
     assert errors(columns(linear, names), expected)[0] > 0.02
 
 
-# White noise has a corner at every sample. Where a current settles within a sample, or where a hard
-# stop turns the motion round within some, a step sees less than a whole curve.
-LARGEST = {
-    "white noise of 20 V": 1e-5,
-    "hard stops, 100 V": 3e-5,
-    "inductance of 1 uH": 2e-5,
-    "current drive, 3300 ohm": 2e-6,
-}
-
-
 @pytest.mark.parametrize("name", hard_drives(0.03))
 def test_drives_that_are_hard_to_solve_are_solved(name):
     # `solve_ivp` takes half a minute for a tenth of a second of a stiff circuit.
-    is_stiff = name.startswith(("inductance", "current"))
-    rig, volts = hard_drives(0.006 if is_stiff else 0.03)[name]
+    rig, volts = hard_drives(0.006 if name.startswith(("inductance", "current")) else 0.03)[name]
     model = AdaptiveActuator(rig, FS, model="nonlinear")
     got = columns(model.move(volts))
     assert errors(got, solved_motion(rig, FS, volts)[:4]).max() < LARGEST.get(name, 1e-7)
@@ -83,8 +82,7 @@ def test_drives_that_are_hard_to_solve_are_solved(name):
 
 @pytest.mark.parametrize("samplerate", [1_000, 6_000, 192_000])
 def test_a_square_is_solved_at_every_rate(samplerate):
-    times = times_of(samplerate, 0.03)
-    volts = 12.0 * np.sign(np.sin(math.tau * 70.0 * times + 1e-9))[:1_000]
+    volts = 12.0 * np.sign(np.sin(math.tau * 70.0 * times_of(samplerate, 0.03) + 1e-9))[:1_000]
     got = columns(AdaptiveActuator(PAPER, samplerate, model="nonlinear").move(volts))
     assert errors(got, solved_motion(PAPER, samplerate, volts)[:4]).max() < 1e-7
 
@@ -169,18 +167,8 @@ def test_no_step_makes_more_than_a_millionth_of_the_energy_that_it_handles(rig, 
 def test_the_linear_model_is_passive_on_random_drives():
     volts = np.random.default_rng(6).standard_normal(1_000)
     actuator = AdaptiveActuator(PAPER, 32 * FS, model="linear")
-    surplus_j, _, through_j = balance_of(actuator, linear_energies(PAPER.actuator), volts, 32)
+    surplus_j, _, through_j = balance_of(actuator, energies(PAPER.actuator, None), volts, 32)
     assert abs(surplus_j.sum()) <= 1e-6 * through_j
-
-
-Q_1000 = {"q_mechanical": 1_000.0, "force_factor_n_per_a": 0.5}
-HARD = {
-    "Q 1000": Q_1000,
-    "1 uH": {"inductance_h": 1e-6},
-    "Q 1000 and 1 uH": Q_1000 | {"inductance_h": 1e-6},
-    "overdamped": {"force_factor_n_per_a": 60.0, "inductance_h": 1e-4},
-    "hard stops": {},
-}
 
 
 def hard_rig(case):
@@ -204,13 +192,11 @@ def test_steps_noise_and_nan_give_nothing_but_finite_motion(volts, samplerate, c
     drive[frames // 2 :] = 40.0 * np.random.default_rng(7).standard_normal(frames - frames // 2)
     drive[frames // 3], drive[frames // 3 + 1] = math.nan, -math.inf
     motion = columns(actuator.move(drive, names), names)
-    assert np.isfinite(motion).all()
-    assert actuator.replaced_samples == 2
+    assert (np.isfinite(motion).all(), actuator.replaced_samples) == (True, 2)
     # Finite means bounded as well: even these stops give way by less than their own distance.
     assert model == "linear" or np.abs(motion[0]).max() < 3 * LARGE.stop_m
     motion = columns(actuator.move(np.array(volts, float), names), names)
-    assert motion.shape == (len(names), len(volts))
-    assert np.isfinite(motion).all()
+    assert (np.isfinite(motion).all(), motion.shape) == (True, (len(names), len(volts)))
 
 
 def test_a_stop_that_no_step_can_follow_holds_like_a_wall_and_is_counted():
@@ -234,34 +220,26 @@ def test_left_alone_the_motion_dies_away_over_a_million_samples(model):
 
 
 PAPERS = ModelDesign(Equations(PAPER.actuator, energies(PAPER.actuator, LARGE)), FS, 1e-2)
-GOOD = {
-    "volts": np.zeros(480),
-    "moved": np.zeros((4, 480)),
-    "design": PAPERS.arrays,
-    "state": np.zeros(STATE_NUMBERS),
-    "report": np.zeros((2, 2)),
-    "numbers": [0, 480, 480, 4_800, 2],
-}
+NUMBERS = [0, 480, 480, 4_800, 2]
+GOOD = {"volts": np.zeros(480), "moved": np.zeros((4, 480)), "design": PAPERS.arrays}
+GOOD |= {"state": np.zeros(STATE_NUMBERS), "report": np.zeros((2, 2)), "numbers": NUMBERS}
+SMALL = {"volts": 479, "moved": (3, 480), "state": 3, "report": (0, 2)}
 BAD: list[dict[str, Any]] = [
-    {"volts": np.zeros(479)},
-    {"moved": np.zeros((3, 480))},
-    {"state": np.zeros(3)},
-    {"report": np.zeros((0, 2))},
-    {"numbers": [0, 481, 480, 4_800, 2]},
+    *({name: np.zeros(shape)} for name, shape in SMALL.items()),
+    *({"numbers": [*NUMBERS[:at], n, *NUMBERS[at + 1 :]]} for at, n in ((1, 481), (2, 0), (4, 3))),
     {"numbers": [5, 4, 480, 4_800, 2]},
-    {"numbers": [0, 480, 0, 4_800, 2]},
-    {"numbers": [0, 480, 480, 4_800, 3]},
+    *(
+        {"design": [*PAPERS.arrays[:place], np.zeros(3), *PAPERS.arrays[place + 1 :]]}
+        for place in range(len(PAPERS.arrays))
+    ),
 ]
-for place in range(len(PAPERS.arrays)):
-    BAD.append({"design": [*PAPERS.arrays[:place], np.zeros(3), *PAPERS.arrays[place + 1 :]]})
 
 
 def test_arrays_that_do_not_fit_are_refused():
     compiled: Any = blocks.compiled
     compiled.move_rig(*GOOD.values())
     for bad in BAD:
-        words = "part of the volts" if "numbers" in bad else ":"
-        with pytest.raises(ValueError, match=words):
+        with pytest.raises(ValueError, match="part of the volts" if "numbers" in bad else ":"):
             compiled.move_rig(*(GOOD | bad).values())
 
 
@@ -271,14 +249,9 @@ def test_without_what_is_compiled_the_message_says_what_to_install(monkeypatch):
         AdaptiveActuator(PAPER, FS)
 
 
-ENERGIES = energies(PAPER.actuator, PAPER.large_signal)
-SHAPES = [Line(10.0), Hardening(8e4, 2e10), Arctangent(10.0, 2.6e-3), Tanh(1e-3, 0.3, 1.5e-3)]
-
-
 @pytest.mark.parametrize("shape", [*SHAPES, Stops(2.2e-3, 1.3e9)])
 def test_each_derivative_of_a_shape_is_the_slope_of_the_one_before(shape):
-    x = np.linspace(-2.9e-3, 2.9e-3, 801)
-    step = 1e-7
+    x, step = np.linspace(-2.9e-3, 2.9e-3, 801), 1e-7
     before, after, here = shape(x - step), shape(x + step), shape(x)
     for order in range(2):
         slope = (after[order] - before[order]) / (2 * step)
@@ -291,14 +264,12 @@ def test_each_derivative_of_a_shape_is_the_slope_of_the_one_before(shape):
 
 @pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=lambda rig: rig.name)
 def test_at_x_max_the_shapes_have_changed_as_the_table_of_the_rig_says(rig):
-    e = energies(rig.actuator, rig.large_signal)
-    x = np.array([0.0, rig.actuator.x_max_m, -rig.actuator.x_max_m])
-    force_factor = e.magnet(x)[1] / rig.actuator.force_factor_n_per_a
-    assert force_factor == pytest.approx([1.0, 0.75, 0.75])
+    e, p = energies(rig.actuator, rig.large_signal), rig.actuator
+    x = np.array([0.0, p.x_max_m, -p.x_max_m])
+    assert e.magnet(x)[1] / p.force_factor_n_per_a == pytest.approx([1.0, 0.75, 0.75])
     stiffness = e.spring(x)[1][1:] / x[1:]
-    assert stiffness / rig.actuator.stiffness_n_per_m == pytest.approx([1.5, 1.5])
-    inductance = e.inductance(x)[0] / rig.actuator.inductance_h
-    assert inductance == pytest.approx([1.0, 0.77, 1.23], abs=0.002)
+    assert stiffness / p.stiffness_n_per_m == pytest.approx([1.5, 1.5])
+    assert e.inductance(x)[0] / p.inductance_h == pytest.approx([1.0, 0.77, 1.23], abs=0.002)
 
 
 @given(st.floats(-3e-3, 3e-3), st.floats(-7, 7))

@@ -6,14 +6,7 @@ import numpy as np
 import pytest
 
 from device.server import defaults_check
-from device.server.defaults_check import (
-    AFTER_S,
-    AT_MOST_S,
-    RENEW_AGAIN_S,
-    RENEW_AT_MOST_S,
-    Defaults,
-    DefaultsCheck,
-)
+from device.server.defaults_check import Defaults, DefaultsCheck
 from tests.support.snapshots import snapshot
 
 
@@ -24,13 +17,10 @@ def due_s(*changes_s: float, kind: str = "PipeWire") -> float | None:
     return check.due_s
 
 
-def test_the_check_waits_for_calm_but_not_for_ever():
-    assert due_s(10.0, 10.5, 11.0) == 11.0 + AFTER_S
-    assert due_s(*np.arange(10.0, 30.0, 0.1)) == 10.0 + AT_MOST_S
-
-
-def test_pulseaudio_needs_no_check():
+def test_the_check_waits_for_calm_but_not_for_ever_and_pulseaudio_needs_none():
     assert due_s(10.0, kind="PulseAudio") is None
+    assert due_s(10.0, 10.5, 11.0) == 11.0 + defaults_check.AFTER_S
+    assert due_s(*np.arange(10.0, 30.0, 0.1)) == 10.0 + defaults_check.AT_MOST_S
 
 
 KNOWN, NEW, NEWER = Defaults("desktop", ""), Defaults("speakers", ""), Defaults("hdmi", "")
@@ -57,8 +47,7 @@ def checked(monkeypatch):
 
 
 def test_two_new_connections_that_agree_outdate_the_known_defaults(checked):
-    assert checked(KNOWN)[0] == 0
-    assert checked(NEW, NEW)[0] == 1
+    assert (checked(KNOWN)[0], checked(NEW, NEW)[0]) == (0, 1)
 
 
 def test_a_change_in_progress_or_a_server_without_an_answer_is_asked_again(checked):
@@ -68,7 +57,8 @@ def test_a_change_in_progress_or_a_server_without_an_answer_is_asked_again(check
 
 def test_outdated_defaults_are_reported_soon_but_ever_less_often_where_that_does_not_help(checked):
     waits_s = [checked(NEW, NEW)[1] for _ in range(6)]
-    wanted_s = [min(RENEW_AGAIN_S * 2.0**number, RENEW_AT_MOST_S) for number in range(6)]
+    again_s, most_s = defaults_check.RENEW_AGAIN_S, defaults_check.RENEW_AT_MOST_S
+    wanted_s = [min(again_s * 2.0**number, most_s) for number in range(6)]
     assert waits_s == pytest.approx(wanted_s, abs=0.5)
     checked(KNOWN)
-    assert checked(NEW, NEW)[1] == pytest.approx(RENEW_AGAIN_S, abs=0.5)
+    assert checked(NEW, NEW)[1] == pytest.approx(again_s, abs=0.5)

@@ -5,16 +5,8 @@ import re
 import pytest
 
 from device.errors import UsageError
-from device.server.forwarding import (
-    SINK,
-    Route,
-    carries_sound_of,
-    loopback_arguments,
-    loopbacks,
-    reachable_sinks,
-    real_sinks,
-    round_delay_ms,
-)
+from device.server import forwarding
+from device.server.forwarding import SINK, Route, carries_sound_of, loopback_arguments
 from device.server.snapshot import Stream
 from device.stream.pcms import FALLBACK_SINK
 from tests.support.snapshots import monitor, sink, snapshot, stream
@@ -32,8 +24,8 @@ def test_sound_cards_are_forwarded_to_first_and_nothing_of_ours_ever():
         sink(4, SINK),
         sink(5, FALLBACK_SINK),
     )
-    assert real_sinks(snapshot(sinks=sinks), "haptic") == ["card", "virtual"]
-    assert real_sinks(snapshot(sinks=sinks), None) == ["card", "haptic", "virtual"]
+    for haptic, names in (("haptic", ["card", "virtual"]), (None, ["card", "haptic", "virtual"])):
+        assert forwarding.real_sinks(snapshot(sinks=sinks), haptic) == names
 
 
 def test_sinks_that_a_sound_reaches_are_found_through_modules():
@@ -45,8 +37,8 @@ def test_sinks_that_a_sound_reaches_are_found_through_modules():
         sink_inputs=(made(1, 2, "second", 7), back, other),
         source_outputs=(made(1, 1, "first.monitor", 7), made(2, 2, "second.monitor", 8)),
     )
-    assert reachable_sinks(seen, "first") == {"first", "second"}
-    assert reachable_sinks(seen, "second") == {"second"}
+    for sound, reached in (("first", {"first", "second"}), ("second", {"second"})):
+        assert forwarding.reachable_sinks(seen, sound) == reached
     assert carries_sound_of(seen, back, {"first", "second"})
     assert not carries_sound_of(seen, other, {"first", "second"})
 
@@ -72,7 +64,7 @@ def test_a_loopback_reports_its_route_and_whether_it_is_complete():
             sink_inputs=playing,
             source_outputs=taps,
         )
-        (found,) = loopbacks(seen)
+        (found,) = forwarding.loopbacks(seen)
         assert (found.module, found.route, found.complete) == (7, route, complete)
 
 
@@ -81,5 +73,6 @@ def test_a_route_that_no_module_could_take_is_refused():
         loopback_arguments(snapshot(), Route("it's", "desktop", 20), sink(4, SINK))
     for wrong in (-1.0, float("nan")):
         with pytest.raises(UsageError, match=f"delay_s={wrong}"):
-            round_delay_ms(wrong)
-    assert [round_delay_ms(delay_s) for delay_s in (None, 0.0, 0.0754, 0.5)] == [20, 20, 75, 500]
+            forwarding.round_delay_ms(wrong)
+    told = [forwarding.round_delay_ms(delay_s) for delay_s in (None, 0.0, 0.0754, 0.5)]
+    assert told == [20, 20, 75, 500]

@@ -1,10 +1,12 @@
 """PipeWire's graph from what `pw-dump` prints, and the requests that keep our links in it."""
 
+import json
 import os
 from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,10 +18,8 @@ from tests.support.graphs import Item, desktop, gone, link, node, play, port
 
 def one_link(*pairs: LinkPair, made: Mapping[str, str] | None = None) -> Any:
     """One link from a monitor of `desk` to the chain's tap."""
-    links = frozenset(pairs or ((13, 41),))
-    return SimpleNamespace(
-        nodes=lambda _: {40}, links=lambda _: links, made_nodes=lambda: made or {}
-    )
+    known = {"links": lambda _: frozenset(pairs or ((13, 41),)), "made_nodes": lambda: made or {}}
+    return SimpleNamespace(nodes=lambda _: {40}, **known)
 
 
 def kept(*pairs: LinkPair) -> tuple[Graph, LinkKeeper, list[str]]:
@@ -29,16 +29,18 @@ def kept(*pairs: LinkPair) -> tuple[Graph, LinkKeeper, list[str]]:
     return graph, keeper, sent
 
 
-def test_an_object_that_has_gone_takes_its_ports_and_links_out_of_every_index():
+def later(keeper: LinkKeeper, now_s: float, *items: Item) -> None:
+    keeper._graph.apply(items)
+    keeper.update(now_s)
+
+
+def test_an_object_that_has_gone_is_out_of_every_index_even_if_its_id_is_used_again():
     graph = desktop()
     play(graph, 60, "player", 10)
     assert {one.id for one in graph.links_of(10)} == {63, 64}
     graph.apply([gone(63), gone(61)])
     assert [one.id for one in graph.links_of(10)] == [64]
     assert graph.ports_of(60, "output_") == {"FR": 62}
-
-
-def test_an_id_that_is_used_again_is_only_the_new_object():
     graph = desktop()
     play(graph, 60, "player", 10)
     graph.apply([node(63, "another", "Audio/Sink")])  # was a link
@@ -128,13 +130,60 @@ def late_link(number: int, serial: int, graph: Graph) -> Item:
     return item
 
 
+def latency(direction: str, **units: float) -> Item:
+    """A parameter of a port, with the same least and largest value but for `units`."""
+    names = (f"{end}{unit}" for end in ("min", "max") for unit in ("Quantum", "Rate", "Ns"))
+    return {"direction": direction, **dict.fromkeys(names, 0), **units}
+
+
+def declaring(*latencies: Item) -> Graph:
+    """Sinks of which `desk` declares a latency at its first port."""
+    graph, left = desktop(), port(11, 10, "playback_FL")
+    left["info"]["params"] = {"Latency": list(latencies)}
+    graph.apply([left])
+    return graph
+
+
+def test_a_sinks_delay_is_the_sum_of_cycles_frames_and_time_of_its_latest_port():
+    graph = declaring(
+        latency("Output", maxNs=9e9),
+        latency("Input", minQuantum=1, maxQuantum=1, minRate=480, maxRate=480, maxNs=200_000_000),
+    )
+    assert graph.declared_s("desk", 960, 48_000) == pytest.approx(0.02 + 0.01 + 0.1)
+    assert graph.declared_s("dac", 960, 48_000) == 0.0
+    assert graph.declared_s("nowhere", 960, 48_000) is None
+    assert declaring(latency("Input", minNs=-5e7, maxNs=-5e7)).declared_s("desk", 1, 1) == -0.05
+
+
+def test_another_latency_is_no_change_of_the_wiring():
+    graph, left = declaring(), port(11, 10, "playback_FL")
+    left["info"]["params"] = {"Latency": [latency("Input", minNs=1e6, maxNs=1e6)]}
+    assert not graph.apply([left])
+    assert graph.declared_s("desk", 1, 1) == 1e-3
+
+
+def test_of_all_parameters_only_the_latencies_are_read():
+    """As `pw-dump` prints them."""
+    one = port(11, 10, "playback_FL")
+    one["info"]["params"] = {
+        "EnumFormat": [{"mediaType": "audio"}],
+        "Latency": [latency("Input", maxNs=5)],
+        "ProcessLatency": [],
+    }
+    reading, writing = os.pipe()
+    os.write(writing, (json.dumps([one], indent=2) + "\n").encode())
+    os.close(writing)
+    ((found,),) = Documents(reading).read()
+    os.close(reading)
+    assert found["info"]["params"] == {"Latency": [latency("Input", maxNs=5)]}
+
+
 @given(st.integers(1, 80))
 def test_a_link_is_known_with_its_last_announced_line_however_the_pipe_cuts_it(piece):
     graph = announced(piece=piece)
     assert [one.pair for one in graph.links_of(10)] == [(71, 11)]
     assert graph.ports_of(70, "output_") == {"FL": 71}
-    assert graph.nodes[70].name == 'a "name" = '
-    assert not graph.is_described(70)
+    assert (graph.nodes[70].name, graph.is_described(70)) == ('a "name" = ', False)
 
 
 def test_what_is_described_late_does_not_undo_what_was_announced():
@@ -148,16 +197,13 @@ def test_what_is_described_late_does_not_undo_what_was_announced():
     assert 72 not in graph.links
 
 
-def test_an_announced_end_counts_at_once_and_old_news_are_ignored():
+def test_an_announced_end_counts_at_once_and_an_unannounced_one_of_another_pw_cli():
     graph = announced()
     graph.apply([late_link(72, 702, graph)])
     announced(PRINTED, graph)
     assert graph.links[72].state == "active"
     announced(b"remote 0 removed global: \tid 72, type PipeWire:Interface:Link/3\n", graph)
     assert 72 not in graph.links
-
-
-def test_another_pw_cli_announces_anew_so_ends_that_nobody_announced_are_believed():
     graph = announced()
     announced(b"remote 0 added global: \tid 0, type PipeWire:Interface:Core/4\nremote 0 x\n", graph)
     graph.apply([gone(72)])
@@ -170,22 +216,17 @@ def test_nothing_that_is_printed_breaks_the_graph(printed):
     assert (71, 11) in {one.pair for one in graph.links_of(10)}
 
 
-def test_a_missing_link_is_asked_for_again_until_it_comes():
+def test_a_missing_link_is_asked_for_until_it_comes_and_any_other_of_our_nodes_removed():
     graph, keeper, sent = kept()
     for now_s in (1.0, 1.01, 1.0 + RETRY_S):
         keeper.update(now_s)
     assert sent == ["create-link -1 13 -1 41 { link.passive=true object.linger=false }"] * 2
     graph.apply([link(70, 13, 41, graph)])
-    keeper.update(1.2)
-    keeper.update(1.4)
-    assert len(sent) == 2
-    assert keeper.are_there({(13, 41)})
-
-
-def test_any_other_link_of_our_nodes_is_removed():
+    for now_s in (1.2, 1.4):
+        keeper.update(now_s)
+    assert (len(sent), keeper.missing({(13, 41)})) == (2, set())
     graph, keeper, sent = kept()
-    graph.apply([link(70, 13, 41, graph), link(71, 14, 41, graph), link(72, 13, 21, graph)])
-    keeper.update(1.0)
+    later(keeper, 1.0, link(70, 13, 41, graph), link(71, 14, 41, graph), link(72, 13, 21, graph))
     assert sent == ["destroy 71"]
 
 
@@ -193,51 +234,41 @@ def test_a_node_is_made_while_it_is_wanted_and_only_once():
     graph, keeper, sent = kept()
     graph.apply([link(70, 13, 41, graph)])
     keeper.wiring = one_link(made={"quiet": "create-node adapter"})
-    keeper.update(1.0)
-    keeper.update(1.05)
+    later(keeper, 1.0)
+    later(keeper, 1.05)
     assert sent == ["create-node adapter"]
-    graph.apply([node(80, "quiet"), node(81, "quiet")])
-    keeper.update(1.3)
+    later(keeper, 1.3, node(80, "quiet"), node(81, "quiet"))
     assert sent[1:] == ["destroy 81"]
     keeper.wiring = one_link()
     keeper.update(1.6)
     assert sorted(sent[2:]) == ["destroy 80", "destroy 81"]
 
 
-def test_a_link_that_does_not_last_counts_as_missing():
+def test_a_link_that_does_not_last_or_stays_paused_beside_an_active_one_is_made_again():
     graph, keeper, _ = kept()
     keeper.update(1.0)
     for at in range(1, 8):
-        graph.apply([link(70, 13, 41, graph)])
-        keeper.update(1.0 + 0.1 * at)
-        graph.apply([gone(70)])
-        keeper.update(1.05 + 0.1 * at)
+        later(keeper, 1.0 + 0.1 * at, link(70, 13, 41, graph))
+        later(keeper, 1.05 + 0.1 * at, gone(70))
     assert keeper.missing_for_s({(13, 41)}, 1.8) > 0.7
-    graph.apply([link(70, 13, 41, graph)])
-    keeper.update(1.9)
-    keeper.update(1.91 + HOLDS_S)
+    later(keeper, 1.9, link(70, 13, 41, graph))
+    later(keeper, 1.91 + HOLDS_S)
     assert keeper.missing_for_s({(13, 41)}, 3.0) == 0.0
-
-
-def test_a_link_that_stays_paused_beside_an_active_one_is_made_again():
     graph, keeper, sent = kept((13, 41), (14, 42))
-    graph.apply([link(70, 13, 41, graph), link(71, 14, 42, graph, "paused")])
-    keeper.update(1.0)
-    graph.apply([link(71, 14, 42, graph, "active")])
-    keeper.update(1.2)
-    graph.apply([link(71, 14, 42, graph, "paused")])
-    keeper.update(1.3)
-    keeper.update(1.25 + PAUSED_S)
+    later(keeper, 1.0, link(70, 13, 41, graph), link(71, 14, 42, graph, "paused"))
+    later(keeper, 1.2, link(71, 14, 42, graph, "active"))
+    later(keeper, 1.3, link(71, 14, 42, graph, "paused"))
+    later(keeper, 1.25 + PAUSED_S)
     assert sent == []
-    keeper.update(1.4 + PAUSED_S)
+    later(keeper, 1.4 + PAUSED_S)
     assert sent == ["destroy 71"]
 
 
 def test_another_session_manager_is_known_by_its_serial_number_as_ids_come_back():
     graph = desktop()
     assert graph.session_manager is None
-    for serial in (81, 97):
-        props = {"application.name": "WirePlumber", "object.serial": serial}
+    for serial, which in ((81, ""), (97, ""), (99, " (main-alone)")):
+        props = {"application.name": f"WirePlumber{which}", "object.serial": serial}
         graph.apply([{"id": 5, "type": "PipeWire:Interface:Client", "info": {"props": props}}])
         assert graph.session_manager == serial
     graph.apply([gone(5)])

@@ -5,14 +5,8 @@ import os
 import pytest
 
 from device.errors import NotFoundError
-from device.server.identity import (
-    default_monitor,
-    find_sink,
-    find_source,
-    identity_of,
-    is_own_stream,
-    monitor_of,
-)
+from device.server import identity
+from device.server.identity import default_monitor, find_sink, identity_of, monitor_of
 from device.server.snapshot import ServerSnapshot, Source, _kind
 from device.stream.pcms import FALLBACK_SINK
 from tests.support.snapshots import monitor, sink, snapshot, source, stream
@@ -28,7 +22,7 @@ def server(default: str = "desktop", *, sources: tuple[Source, ...] = MONITORS) 
 
 def test_a_name_means_the_device_of_exactly_that_name():
     assert find_sink(server(), "desktop.2").name == "desktop.2"
-    assert find_source(server(), "microphone") is MICROPHONE
+    assert identity.find_source(server(), "microphone") is MICROPHONE
     assert monitor_of(server(), "desktop").name == "desktop.monitor"
     assert default_monitor(server("haptic")).name == "haptic.monitor"
 
@@ -39,17 +33,13 @@ def test_what_is_not_the_name_of_a_sink_is_never_tapped(name):
         monitor_of(server(), name)
 
 
-def test_a_sink_without_a_monitor_gets_no_other_source():
+def test_a_sink_without_a_monitor_and_a_default_that_is_missing_or_haptic_are_refused():
     for find in (lambda there: monitor_of(there, "desktop"), default_monitor):
         with pytest.raises(NotFoundError, match="has no monitor"):
             find(server(sources=MONITORS[1:]))
-
-
-def test_a_default_sink_that_is_missing_or_haptic_is_refused():
-    with pytest.raises(NotFoundError, match="no default sink"):
-        default_monitor(server(""))
-    with pytest.raises(NotFoundError, match="feed back"):
-        default_monitor(server("haptic"), "haptic")
+    for default, words in (("", "no default sink"), ("haptic", "feed back")):
+        with pytest.raises(NotFoundError, match=words):
+            default_monitor(server(default), "haptic")
 
 
 @pytest.mark.parametrize(
@@ -70,19 +60,15 @@ def test_an_unknown_name_offers_the_known_ones(names, wanted, words):
 def test_a_device_keeps_its_identity():
     known = {"device.vendor.id": "0x0d8c", "device.product.id": "0014"}
     known |= {"device.bus": "usb", "alsa.card": "1"}
-    identity = identity_of(sink(1, "dac", known))
-    assert (identity.vendor_id, identity.product_id, identity.alsa_card) == ("0d8c", "0014", "1")
-    assert identity.is_usb("0D8C", "14")
-    assert not identity.is_usb("0d8c", "0015")
+    dac = identity_of(sink(1, "dac", known))
+    assert (dac.vendor_id, dac.product_id, dac.alsa_card) == ("0d8c", "0014", "1")
+    assert (dac.is_usb("0D8C", "14"), dac.is_usb("0d8c", "0015")) == (True, False)
     assert not identity_of(sink(1, "null")).is_usb("", "")
 
 
-def test_a_stream_of_another_machine_with_our_process_id_is_not_ours():
-    assert is_own_stream(stream(1, process_id=os.getpid()))
+def test_a_stream_of_another_machine_is_not_ours_and_a_server_s_kind_is_in_its_name():
+    assert identity.is_own_stream(stream(1, process_id=os.getpid()))
     there = {"application.process.host": "another-machine"}
-    assert not is_own_stream(stream(1, process_id=os.getpid(), properties=there))
-
-
-def test_the_kind_of_a_server_is_in_its_name():
+    assert not identity.is_own_stream(stream(1, process_id=os.getpid(), properties=there))
     assert _kind("pulseaudio", "16.1") == ("PulseAudio", "16.1")
     assert _kind("PulseAudio (on PipeWire 0.3.65)", "15.0.0") == ("PipeWire", "0.3.65")

@@ -38,6 +38,12 @@ def event(number: int, kind: str, facility: str, index: int) -> Event:
     return Event(facility, kind, index, number)
 
 
+def test_what_plays_to_a_sink_is_neither_paused_nor_on_another_sink() -> None:
+    playing, paused = stream(5, 1, "dac"), stream(6, 1, "dac", corked=True)
+    found = snapshot(sinks=(sink(1, "dac"),), sink_inputs=(playing, paused, stream(7, 2, "tv")))
+    assert (found.playing_to("dac"), found.playing_to(None)) == ([playing], [])
+
+
 PLACED = StreamPlacement("ours", "dac").after_snapshot(seen(OUR_SINK))
 
 
@@ -78,13 +84,11 @@ def test_events_of_others_silence_nothing():
 
 def test_a_microphone_is_never_the_device_of_a_tap_but_its_monitor_is():
     taps = (ours(MICROPHONE), ours(MONITOR, OTHER_STREAM, "tap"))
-    found = seen(OUR_SINK, source_outputs=taps)
     microphone = StreamPlacement("ours", "microphone", plays=False)
-    assert microphone.after_snapshot(found).hold is Hold.NO_DEVICE
-    monitor = StreamPlacement("tap", "speakers.monitor", plays=False)
-    assert monitor.after_snapshot(found).hold is Hold.FREE
-    any_source = replace(microphone, any_source=True)
-    assert any_source.after_snapshot(found).hold is Hold.FREE
+    of_monitor = StreamPlacement("tap", "speakers.monitor", plays=False)
+    placed = (microphone, of_monitor, replace(microphone, any_source=True))
+    holds = [one.after_snapshot(seen(OUR_SINK, source_outputs=taps)).hold for one in placed]
+    assert holds == [Hold.NO_DEVICE, Hold.FREE, Hold.FREE]
 
 
 @given(st.lists(st.sampled_from(["here", "there", "event", "lost"]), max_size=12))
@@ -104,8 +108,7 @@ def test_the_stream_is_audible_exactly_while_the_last_word_was_that_it_is_here(s
         elif word == "lost":
             guard.on_lost(LostError("gone"))
         else:
-            on = OUR_SINK if word == "here" else OTHER_SINK
-            guard.on_snapshot(seen(on, events=number))
+            guard.on_snapshot(seen(OUR_SINK if word == "here" else OTHER_SINK, events=number))
         known = word == "here"
         assert playback.audible == known
     guard.release()

@@ -5,29 +5,25 @@ from dataclasses import replace
 
 import pytest
 
-from device.server.snapshot import Sink, Source, Stream, decibels
+from device.server.snapshot import Stream, decibels
 from device.server.tap_volume import TapVolume, muted_sink
 from tests.support.snapshots import monitor, sink, snapshot, stream
 
 DESK = sink(1, "desk", volume_in_monitor=True)
 MONITOR = monitor(DESK)
+QUIET = replace(DESK, volume_db=-20.0)
+FLAT = replace(QUIET, flat_volumes=True)
+BY_THE_CARD = replace(QUIET, volume_in_monitor=False)
+HALF = replace(MONITOR, volume=0.5)
 
 
 def at(index: int, volume_db: float, **other: bool) -> Stream:
     return stream(index, 1, "desk", volume_db=volume_db, **other)
 
 
-def followed(
-    tap: TapVolume, *streams: Stream, sink: Sink = DESK, monitor: Source | None = MONITOR
-) -> float:
+def followed(tap, *streams, sink=DESK, monitor=MONITOR):
     players = {one.index for one in streams if not one.corked}
     return tap.follow(snapshot(sinks=(sink,), sink_inputs=streams), players, monitor)
-
-
-QUIET = replace(DESK, volume_db=-20.0)
-FLAT = replace(QUIET, flat_volumes=True)
-BY_THE_CARD = replace(QUIET, volume_in_monitor=False)
-HALF = replace(MONITOR, volume=0.5)
 
 
 @pytest.mark.parametrize(
@@ -48,8 +44,7 @@ def test_volumes_that_the_sound_has_passed_add_up_once_each(sink, monitor, strea
 @pytest.mark.parametrize(("music_db", "added_db", "volume_db"), [(-20, 0, -20), (-78, 0, 0)])
 def test_a_notification_changes_nothing_unless_music_is_at_5_percent(music_db, added_db, volume_db):
     tap, music = TapVolume(), at(9, music_db)
-    assert followed(tap, music) == music_db
-    assert followed(tap, at(3, added_db), music) == volume_db
+    assert (followed(tap, music), followed(tap, at(3, added_db), music)) == (music_db, volume_db)
     assert followed(tap, music) == music_db
 
 

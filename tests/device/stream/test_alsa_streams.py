@@ -96,17 +96,15 @@ def test_nothing_but_silence_goes_out_until_the_stream_is_audible(pcm, tmp_path)
 
 def test_a_card_that_is_not_there_is_an_error_that_says_what_may_be_wrong(pcm):
     pcm.target = CardDevice(31, 2)
-    with pytest.raises(LostError, match="cannot open hw:31,2 for playback") as error:
+    words = "cannot open hw:31,2 for playback.*2 channels at 48000 Hz in S16_LE.*card was unplugged"
+    with pytest.raises(LostError, match=words):
         PlaybackStream(pcm, RATE, 2, lambda *_: None, sample_format=SampleFormat.S16)
-    assert "2 channels at 48000 Hz in S16_LE" in str(error.value)
-    assert "the card was unplugged" in str(error.value)
 
 
 def test_what_is_missing_is_named_and_not_the_device_blamed(pcm, monkeypatch):
     pcm.target = ServerDevice("desktop", "unix:/nowhere")
-    advice = "its plugin is missing; install it"
-    monkeypatch.setattr(portaudio, "missing_plugin", lambda: advice)
-    with pytest.raises(NotFoundError, match=f"^{advice}$"):
+    monkeypatch.setattr(portaudio, "missing_plugin", lambda: "install its plugin")
+    with pytest.raises(NotFoundError, match=r"^install its plugin$"):
         PlaybackStream(pcm, RATE, 2, lambda *_: None)
 
 

@@ -10,11 +10,8 @@ from audioflinger_hook.mixer.pcm import PcmFormat, decode
 from audioflinger_hook.mixer.pcm import encode as mixer_encode
 from device.stream.sample_format import Encoder, SampleFormat
 
-INTEGERS = {
-    SampleFormat.S16: PcmFormat.I16,
-    SampleFormat.S24_3: PcmFormat.I24,
-    SampleFormat.S32: PcmFormat.I32,
-}
+S16, S24, S32 = SampleFormat.S16, SampleFormat.S24_3, SampleFormat.S32
+INTEGERS = {S16: PcmFormat.I16, S24: PcmFormat.I24, S32: PcmFormat.I32}
 
 integers = pytest.mark.parametrize("sample_format", INTEGERS)
 samples = (
@@ -37,8 +34,7 @@ def test_cards_and_the_mixers_sinks_get_the_same_bytes(sample_format, frames):
 @given(frames=blocks)
 def test_what_was_encoded_is_what_the_bytes_stand_for_and_gives_them_again(sample_format, frames):
     encoder = Encoder(sample_format, 3, 4)
-    stored = encoder.encode(frames)
-    meant = encoder.decode_last()
+    stored, meant = encoder.encode(frames), encoder.decode_last()
     assert meant.dtype == np.float32
     assert not meant.flags.writeable
     np.testing.assert_array_equal(meant, decode(stored, INTEGERS[sample_format], 3))

@@ -15,11 +15,13 @@ def played(raw):
     return playback_formats(configuration)
 
 
-def test_a_device_descriptor_is_read_even_where_more_follows_it():
-    raw = usb.device(0x1209, 0xBEEF, usb.IAD)
-    device = parse_device(raw + SHAPES["async_dac"])
+def test_a_device_descriptor_is_read_where_more_follows_and_continuous_rates_are_a_range():
+    device = parse_device(usb.device(0x1209, 0xBEEF, usb.IAD) + SHAPES["async_dac"])
     assert (device.vendor_id, device.product_id) == (0x1209, 0xBEEF)
     assert (device.usb, device.release, device.configurations) == (0x0200, 0x0123, 1)
+    (only,) = played(SHAPES["continuous_rates"])
+    assert (only.samplerates, only.subslot_bytes, only.bits) == (RateRange(8_000, 48_000), 3, 24)
+    assert (only.volume_channels, only.mute_channels) == ((0,), (0,))
 
 
 def test_an_adapter_without_a_master_volume_has_one_for_each_channel_behind_its_mixer():
@@ -31,15 +33,7 @@ def test_an_adapter_without_a_master_volume_has_one_for_each_channel_behind_its_
     assert only.synchronisation is Synchronisation.ADAPTIVE
     assert (only.feedback_endpoint, only.implicit_feedback) == (None, False)
     assert (only.control_interface, only.path, only.feature_unit) == (0, (1, 15, 9, 6), 9)
-    assert (only.volume_channels, only.mute_channels) == ((1, 2), (0,))
-    assert only.encodings == ("PCM",)
-
-
-def test_continuous_samplerates_are_a_range():
-    (only,) = played(SHAPES["continuous_rates"])
-    assert only.samplerates == RateRange(8_000, 48_000)
-    assert (only.subslot_bytes, only.bits) == (3, 24)
-    assert (only.volume_channels, only.mute_channels) == ((0,), (0,))
+    assert (only.volume_channels, only.mute_channels, only.encodings) == ((1, 2), (0,), ("PCM",))
 
 
 @pytest.mark.parametrize("synch", [0x81, 1], ids=["address", "number without direction"])
@@ -50,11 +44,10 @@ def test_eight_channels_have_eight_volumes_and_the_feedback_that_their_endpoint_
     eight, two = played(raw)
     assert (eight.channels, two.channels) == (8, 2)
     assert (eight.channel_config, two.channel_config) == (0x063F, 0), "only 8 have positions"
-    assert eight.volume_channels == tuple(range(1, 9))
-    assert eight.path == (1, 4, 5, 2, 3)
+    assert (eight.volume_channels, eight.path) == (tuple(range(1, 9)), (1, 4, 5, 2, 3))
     for each in (eight, two):
-        assert each.synchronisation is Synchronisation.ASYNCHRONOUS
-        assert (each.feedback_endpoint, each.implicit_feedback) == (0x81, False)
+        feedback = each.synchronisation, each.feedback_endpoint, each.implicit_feedback
+        assert feedback == (Synchronisation.ASYNCHRONOUS, 0x81, False)
 
 
 def test_the_clock_of_2_0_has_to_be_asked_and_is_found_behind_selector_and_multiplier():
@@ -78,15 +71,12 @@ def test_implicit_feedback_is_the_recording_endpoint_of_the_same_function():
     assert (only.channels, only.feature_unit, only.path) == (4, None, (2, 3))
 
 
-def test_a_function_beside_others_is_found_with_every_kind_of_unit_on_the_way():
+def test_a_function_beside_others_or_midi_is_found_with_every_kind_of_unit_on_the_way():
     (only,) = played(SHAPES["composite"])
     assert (only.interface, only.control_interface) == (2, 1)
     assert only.path == (3, 5, 6, 7, 8, 11, 12, 13)
     assert (only.feature_unit, only.volume_channels) == (12, (1, 2))
     assert only.synchronisation is Synchronisation.SYNCHRONOUS
-
-
-def test_midi_in_between_changes_nothing():
     (only,) = played(SHAPES["midi_between"])
     assert (only.interface, only.subslot_bytes, only.bits) == (2, 4, 24)
 
@@ -115,10 +105,8 @@ def test_the_active_configuration_counts_and_else_the_first_that_plays():
     whole = parse_whole(raw)
     assert [one.value for one in whole.configurations] == [1, 2]
     assert (b"".join(one.raw for one in whole.configurations), whole.raw) == (hid_only + plays, raw)
-    for value, active in ((1, 1), (2, 2), (None, 2), (7, 2)):
-        found = whole.active(value)
-        assert found is not None
-        assert found.value == active
+    active = [getattr(whole.active(value), "value", None) for value in (1, 2, None, 7)]
+    assert active == [1, 2, 2, 2]
     assert parse_whole(usb.device()).active(1) is None
 
 
@@ -135,13 +123,9 @@ def test_more_bytes_than_the_standard_has_and_unknown_descriptors_are_no_problem
     assert played(raw) == ()
 
 
-def test_loudspeakers_come_before_other_outputs_though_they_are_farther():
+def test_loudspeakers_come_first_though_farther_and_of_feature_units_the_one_with_a_volume():
     headset, volume = usb.output_1(2, 0x0605, 1), usb.feature_1(3, 1, [0, 2, 2])
-    raw = stereo_1(headset, volume, usb.output_1(4, usb.SPEAKER, 3))
-    assert played(raw)[0].path == (1, 3, 4)
-
-
-def test_of_several_feature_units_the_one_with_a_volume_is_taken():
+    assert played(stereo_1(headset, volume, usb.output_1(4, usb.SPEAKER, 3)))[0].path == (1, 3, 4)
     mute = usb.feature_1(2, 1, [usb.MUTE_1, 0, 0])
     volume = usb.feature_1(3, 2, [usb.VOLUME_1, 0, 0])
     (only,) = played(stereo_1(mute, volume, usb.output_1(4, usb.SPEAKER, 3)))
@@ -152,9 +136,8 @@ def test_a_feature_unit_that_leaves_out_its_last_byte_keeps_its_channels():
     whole = usb.feature_1(2, 1, [usb.MUTE_1, usb.VOLUME_1, usb.VOLUME_1], size=2)
     cut = bytes([whole[0] - 1]) + whole[1:-1]
     configuration = parse_configuration(stereo_1(cut, usb.output_1(3, usb.SPEAKER, 2)))
-    (only,) = playback_formats(configuration)
+    (only,), (_,) = playback_formats(configuration), configuration.problems
     assert (only.volume_channels, only.mute_channels) == ((1, 2), (0,))
-    assert len(configuration.problems) == 1
 
 
 @pytest.mark.parametrize("association", [True, False])

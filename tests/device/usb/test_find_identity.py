@@ -1,7 +1,5 @@
 """Names of USB devices: each leads to one device or to an error that says how to name one."""
 
-from pathlib import Path
-
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -16,11 +14,6 @@ DAC = "0d8c:0014"
 ids = st.from_regex(r"[0-9a-f]{4}", fullmatch=True)
 ports = st.from_regex(r"[1-9][0-9]?-[1-9](\.[1-9][0-9]?){0,4}", fullmatch=True)
 serials = st.text(min_size=1).filter(str.isprintable)
-
-
-@pytest.fixture
-def tree(tmp_path: Path) -> UsbTree:
-    return UsbTree(tmp_path)
 
 
 @given(ids, ids, st.just("") | serials, ports)
@@ -93,16 +86,11 @@ def test_two_alike_and_those_without_a_serial_are_told_apart_by_their_ports(tree
         assert [one for one in tree.devices if name.is_device(one)] == [device]
 
 
-def test_a_name_without_a_serial_finds_the_only_one_in_whatever_port(tree):
-    tree.plug("1-4", serial="A42")
-    assert find_one(UsbIdentity.parse(f"usb:{DAC}"), find_devices(tree.root)).port == "1-4"
-
-
-@pytest.mark.parametrize("serial", ["A 42/b", "A_42_b", "C-Media_USB_Audio_A_42_b"])
-def test_a_serial_may_be_written_as_udev_or_a_sound_server_shows_it(tree, serial):
-    tree.plug(serial="A 42/b")
-    found = find_devices(tree.root)
-    assert find_one(UsbIdentity("0d8c", "0014", serial), found).serial == "A 42/b"
+@pytest.mark.parametrize("serial", ["", "A 42/b", "A_42_b", "C-Media_USB_Audio_A_42_b"])
+def test_a_serial_may_be_left_out_or_be_as_udev_or_a_sound_server_shows_it(tree, serial):
+    tree.plug("1-4", serial="A 42/b")
+    one = find_one(UsbIdentity("0d8c", "0014", serial), find_devices(tree.root))
+    assert (one.serial, one.port) == ("A 42/b", "1-4")
 
 
 @pytest.mark.parametrize("serial", ["42", "A4", "a42", "A42 ", "USB_Audio_A42"])

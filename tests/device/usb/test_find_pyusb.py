@@ -6,7 +6,6 @@ import struct
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -14,10 +13,8 @@ import usb.backend
 import usb.core
 from usb.backend import libusb1
 
-from device.usb import NoLibusbError, NoUsbDeviceError, UsbAccessError
+from device.errors import NoLibusbError, NoUsbDeviceError, UsbAccessError
 from device.usb.control import libusb, open_device, read_descriptors
-from device.usb.sysfs import UsbAudioDevice
-from tests.support.usb_tree import UsbTree
 from tests.support.usbmock.software_dac import SoftwareDac
 
 DEVICE = bytes([18, 1, 0, 2, 0, 0, 0, 64, 0x8C, 0x0D, 0x14, 0, 0, 1, 1, 2, 3, 1])
@@ -71,9 +68,8 @@ def _chosen_anew() -> Iterator[None]:
 
 
 @pytest.fixture
-def device(tmp_path: Path) -> UsbAudioDevice:
+def device(tree):
     """A DAC of which the kernel tells its ids and its product, and no more."""
-    tree = UsbTree(tmp_path)
     tree.plug(manufacturer=None, product="DAC", serial=None, descriptors=None)
     return tree.only
 
@@ -86,11 +82,7 @@ def chosen(monkeypatch: pytest.MonkeyPatch, backend: object) -> None:
     ("backend", "error", "words"),
     [
         (None, NoLibusbError, r"no libusb: .* sudo apt install libusb-1.0-0"),
-        (
-            Backend(opening=errno.EACCES),
-            UsbAccessError,
-            r'errno 13.*service --udev.*TAG\+="uaccess"',
-        ),
+        (Backend(opening=errno.EACCES), UsbAccessError, r'errno 13.*--udev.*TAG\+="uaccess"'),
         (Backend(asking=errno.ENODEV), NoUsbDeviceError, "001/005 was pulled out"),
         (Backend(asking=errno.EBUSY), UsbAccessError, "001/005 is held by a driver"),
         (Backend(asking=errno.ETIMEDOUT), UsbAccessError, "does not answer within 500 ms"),
@@ -113,21 +105,14 @@ def test_without_pyusb_the_error_says_what_to_install(device, monkeypatch):
 
 
 def test_libusb_is_looked_for_until_it_is_there_and_then_no_more(monkeypatch):
-    asked: list[int] = []
-
-    def get_backend():
-        asked.append(len(asked))
-        return None if len(asked) == 1 else "libusb"
-
-    monkeypatch.setattr(libusb1, "get_backend", get_backend)
+    answers = iter([None, "libusb"])
+    monkeypatch.setattr(libusb1, "get_backend", lambda: next(answers))
     with pytest.raises(NoLibusbError):
         libusb()
     assert [libusb(), libusb()] == ["libusb", "libusb"]
-    assert asked == [0, 1]
 
 
-def test_what_sys_has_is_not_asked_of_the_device(tmp_path, monkeypatch):
-    tree = UsbTree(tmp_path)
+def test_what_sys_has_is_not_asked_of_the_device(tree, monkeypatch):
     tree.plug(serial="S", descriptors=DEVICE)
     chosen(monkeypatch, None)
     assert read_descriptors(tree.only) == DEVICE
@@ -136,5 +121,4 @@ def test_what_sys_has_is_not_asked_of_the_device(tmp_path, monkeypatch):
 def test_descriptors_come_from_the_device_as_they_would_lie_in_sys(device, monkeypatch):
     backend = Backend()
     chosen(monkeypatch, backend)
-    assert read_descriptors(device) == DEVICE + CONFIGURATION
-    assert backend.closed == 1
+    assert (read_descriptors(device), backend.closed) == (DEVICE + CONFIGURATION, 1)

@@ -19,6 +19,9 @@ ROOT = Path(__file__).parents[3]
 SYSTEM_PYTHON = "/usr/bin/python3"
 CUSHION = (sys.executable, "-m", "audioflinger_hook")
 SHAPES = {1: headset_adapter, 2: plain_dac}
+versions = pytest.mark.parametrize("uac", [pytest.param(1, marks=pytest.mark.exhaustive), 2])
+NO_SUPERUSER = ("setpriv", "--bounding-set=-dac_override,-dac_read_search", "--inh-caps=-all", "--")
+"""Root may open everything, unless it is told not to."""
 
 
 def why_not() -> str:
@@ -82,21 +85,6 @@ def program(device: dict[str, Any], text: str, *arguments: str) -> Any:
     return json.loads(done.stdout)
 
 
-versions = pytest.mark.parametrize("uac", [pytest.param(1, marks=pytest.mark.exhaustive), 2])
-
-
-@pytest.mark.sweep
-@versions
-def test_devices_lists_it_with_name_card_and_formats(uac):
-    (device,) = document([plugged(uac)], "devices")["usb"]
-    assert device["device"] == f"usb:1209:dac{uac}:SN1"
-    assert (device["manufacturer"], device["product"]) == ("Soft", f"DAC {uac}")
-    assert device["audio_class"] == uac
-    assert device["hw"] == ["hw:1,0"]
-    assert device["drivers"] == ["snd-usb-audio"]
-    assert device["formats"][0]["channels"] == 2
-
-
 def test_two_alike_are_told_apart_by_their_ports_however_narrow_the_terminal():
     ids = {"vendor": 0x152A, "product": 0x8750}
     strings = ["Topping", "D50s USB Audio 2.0 of a very long name", "00"]
@@ -127,8 +115,7 @@ def test_the_active_configuration_is_listed_and_not_the_first_one():
     (device,) = document([adapter], "devices")["usb"]
     assert (device["audio_class"], device["volume"], device["mute"]) == (1, True, True)
     assert [each["samplerates"] for each in device["formats"]] == [[48_000, 44_100]]
-    told = cushion([adapter], "usb", "describe").stdout
-    assert "configuration 2 is the active one" in told
+    assert "configuration 2 is the active one" in cushion([adapter], "usb", "describe").stdout
     configurations = document([adapter], "usb", "describe")[0]["configurations"]
     assert [each["active"] for each in configurations] == [False, True]
     # It is also the one that is asked and set.
@@ -145,8 +132,7 @@ def test_the_rates_that_a_clock_was_asked_for_are_told():
 @pytest.mark.parametrize("shape", ALL_SHAPES)
 def test_the_text_of_lsusb_gives_the_bytes_that_it_was_made_from(shape):
     raw = usb_builder.device() + ALL_SHAPES[shape]
-    scene = [plugged(2, bound=False, dac={"descriptors": raw.hex()})]
-    text = within(scene, "lsusb", "-v").stdout
+    text = within([plugged(2, bound=False, dac={"descriptors": raw.hex()})], "lsusb", "-v").stdout
     (found,) = parse_dump(text.encode())
     assert len(found) == len(raw)
     different = [at for at in range(len(raw)) if found[at] != raw[at]]
@@ -157,13 +143,14 @@ def test_the_text_of_lsusb_gives_the_bytes_that_it_was_made_from(shape):
 
 SETS = """
 import json, sys
+from contextlib import closing
 from device.alsa import set_card_volume
 from device.alsa.mixer import CardMixer
 from device.errors import CushionError
 
 def told(ask):
     try:
-        with CardMixer(1) as mixer:
+        with closing(CardMixer(1)) as mixer:
             return ask(mixer)
     except CushionError as error:
         return [error.exit_code, str(error)]
@@ -177,11 +164,9 @@ print(json.dumps([told(ask) for ask in asks]))
 """
 
 
-@pytest.mark.parametrize(
-    ("wanted", "set_db"), [(("-9.9", "0"), -10.0), (("12", "0"), 0.0), (("0", "-20"), -20.0)]
-)
+@pytest.mark.parametrize(("wanted", "set_db"), [("-9.9 0", -10.0), ("12 0", 0.0), ("0 -20", -20.0)])
 def test_a_whole_card_is_set_to_a_level_never_above_it_and_its_mute_is_lifted(wanted, set_db):
-    told = program(plugged(1, mixer={"on": False}), SETS, *wanted)
+    told = program(plugged(1, mixer={"on": False}), SETS, *wanted.split())
     assert told == [[set_db], [[set_db] * 2], [[False]]]
 
 
@@ -210,7 +195,7 @@ def test_a_muted_card_that_cannot_be_set_so_low_stays_muted_and_says_why(which):
 
 
 @versions
-def test_while_its_driver_holds_it_its_card_is_asked_and_not_its_own_controls(uac, tmp_path):
+def test_while_its_driver_holds_it_it_is_listed_and_its_card_is_asked_alone(uac, tmp_path):
     log, scene = tmp_path / "log", [plugged(uac)]
     described = document(scene, "usb", "describe", f"usb:1209:dac{uac}", log=log)
     assert described["settings"] is None
@@ -223,7 +208,12 @@ def test_while_its_driver_holds_it_its_card_is_asked_and_not_its_own_controls(ua
         "mutes": [{"name": "PCM Playback Switch", "muted": [False]}],
         "problem": None,
     }
-    assert described["mixer"] == document(scene, "devices")["usb"][0]["mixer"] == mixer
+    (listed,) = document(scene, "devices")["usb"]
+    assert described["mixer"] == listed["mixer"] == mixer
+    names = {"manufacturer": "Soft", "product": f"DAC {uac}", "audio_class": uac}
+    names |= {"device": f"usb:1209:dac{uac}:SN1", "hw": ["hw:1,0"], "drivers": ["snd-usb-audio"]}
+    assert names.items() <= listed.items()
+    assert listed["formats"][0]["channels"] == 2
     assert "-8.0 dB" in cushion(scene, "devices").stdout
     told = cushion(scene, "usb", "describe").stdout
     assert "PCM Playback Volume of the sound card: -8.00 dB, silence to +0.00 dB" in told
@@ -240,8 +230,7 @@ def test_volumes_are_told_without_a_driver_or_when_taken_over(uac, bound):
     assert [volume["channel"] for volume in settings["volumes"]] == [1, 2]
     for volume in settings["volumes"]:
         assert (volume["db"], volume["lowest_db"], volume["highest_db"]) == (-8.0, -64.0, 0.0)
-    assert settings["mutes"] == [{"channel": 0, "muted": False}]
-    assert settings["samplerate"] == 44_100
+    assert (settings["mutes"], settings["samplerate"]) == ([{"channel": 0, "muted": False}], 44_100)
 
 
 @pytest.mark.exhaustive
@@ -249,19 +238,16 @@ def test_volumes_are_told_without_a_driver_or_when_taken_over(uac, bound):
 def test_a_device_that_stalls_everything_is_described_all_the_same(uac):
     scene = [plugged(uac, bound=False, dac={"stalls": True})]
     done = cushion(scene, "usb", "describe", f"usb:1209:dac{uac}")
-    assert done.returncode == 0
-    assert "plays: interface 1.1" in done.stdout
+    assert (done.returncode, "plays: interface 1.1" in done.stdout) == (0, True)
     assert "refuses the request" in done.stderr
     assert "Traceback" not in done.stderr
 
 
 @versions
 def test_volume_rate_and_mute_of_a_device_without_a_driver_are_set_and_read_back(uac, tmp_path):
-    log = tmp_path / "log"
-    name = f"usb:1209:dac{uac}"
-    scene = [plugged(uac, bound=False)]
+    log, scene = tmp_path / "log", [plugged(uac, bound=False)]
     wanted = ("--volume-db", "-20.2", "--samplerate", "48000", "--mute", "on")
-    done = cushion(scene, "usb", "set", name, *wanted, log=log)
+    done = cushion(scene, "usb", "set", f"usb:1209:dac{uac}", *wanted, log=log)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.splitlines() == [
         "mute of channel 0: on",
@@ -350,10 +336,6 @@ def test_what_was_taken_is_given_back_also_by_one_who_is_killed(uac, ends, tmp_p
         assert values == ["00e2", "00f8"]  # -30 dB, then -8 dB again
 
 
-NO_SUPERUSER = ("setpriv", "--bounding-set=-dac_override,-dac_read_search", "--inh-caps=-all", "--")
-"""Root may open everything, unless it is told not to."""
-
-
 @pytest.mark.exhaustive
 @versions
 def test_without_permission_all_that_the_kernel_tells_is_shown_and_the_way_out(uac):
@@ -430,8 +412,7 @@ def test_unplug_and_plug_are_noticed_and_the_device_is_known_again(uac):
     done = within([plugged(uac, bound=False)], sys.executable, "-c", PULLS)
     assert done.returncode == 0, done.stderr
     vanished_s, gone, asked, appeared_s, back = done.stdout.splitlines()
-    assert float(vanished_s) < 0.6
-    assert float(appeared_s) < 1.0
+    assert (float(vanished_s) < 0.6, float(appeared_s) < 1.0) == (True, True), done.stdout
     assert gone.startswith("no USB audio device")
     assert asked.startswith(("NoUsbDeviceError", "UsbAccessError"))
     assert "plug it in again" in asked

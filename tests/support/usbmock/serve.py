@@ -116,8 +116,7 @@ class Plugged:
         attributes += f" speed={480 if self.dac.uac > 1 else 12} bDeviceClass={raw[4]:02x}"
         attributes += f" idVendor={vendor:04x} idProduct={product:04x} bNumConfigurations=1"
         attributes += f" bConfigurationValue={self.configuration}"
-        names = ("manufacturer", "product", "serial")
-        strings = zip(names, self.dac.strings, strict=False)
+        strings = zip(("manufacturer", "product", "serial"), self.dac.strings, strict=False)
         told = [node, f"E: PRODUCT={vendor:x}/{product:x}/123"]
         told += [f"A: {name}={text}\\n" for name, text in strings if text]
         told += [f"H: descriptors={raw.hex().upper()}"]
@@ -126,13 +125,8 @@ class Plugged:
         for number, (of_class, subclass, protocol) in self.interfaces.items():
             attributes = f"bInterfaceNumber={number:02x} bInterfaceClass={of_class:02x}"
             attributes += f" bInterfaceSubClass={subclass:02x} bInterfaceProtocol={protocol:02x}"
-            text += _block(
-                f"{self.path}/{self.port}:1.{number}",
-                "usb",
-                *driver,
-                events="DEVTYPE=usb_interface",
-                attributes=attributes,
-            )
+            path, events = f"{self.path}/{self.port}:1.{number}", "DEVTYPE=usb_interface"
+            text += _block(path, "usb", *driver, events=events, attributes=attributes)
         if self.card is not None and self.bound:
             sound = f"{self.path}/{self.port}:1.0/sound/card{self.card}"
             link = f"L: device=../../../{self.port}:1.0"
@@ -152,8 +146,7 @@ class Plugged:
         return _complete(client, lambda asked: self.mixer.answer(request, asked.get_arg()))
 
     def _answer(self, client: Any) -> tuple[int, int]:
-        request = client.get_request() & 0xFFFFFFFF
-        argument = client.get_arg()
+        request, argument = client.get_request() & 0xFFFFFFFF, client.get_arg()
         if request == CAPABILITIES:
             argument.resolve(0, 4).update(0, struct.pack("<I", 0x3F))
             return 0, 0
@@ -188,8 +181,7 @@ class Plugged:
         return 0, 0
 
     def _attach_or_detach(self, argument: Any) -> tuple[int, int]:
-        raw = bytes(argument.resolve(0, 16).retrieve())
-        number, code = struct.unpack("<ii", raw[:8])
+        number, code = struct.unpack("<ii", bytes(argument.resolve(0, 16).retrieve())[:8])
         if code & 0xFF == DISCONNECT:
             if number not in self.bound:
                 return -1, errno.ENODATA
@@ -205,9 +197,7 @@ class Plugged:
 
     def _submit(self, argument: Any) -> tuple[int, int]:
         urb = argument.resolve(0, 56)
-        kind, _endpoint, _status, _flags, _buffer, length = struct.unpack(
-            "<BBxxiIxxxxQi", bytes(urb.retrieve())[:28]
-        )
+        kind, length = struct.unpack("<B23xi", bytes(urb.retrieve())[:28])
         if kind != CONTROL_URB:
             return -1, errno.EINVAL
         buffer = urb.resolve(16, length)
@@ -218,11 +208,9 @@ class Plugged:
             return -1, errno.EBUSY
         asks = bool(request_type & 0x80)
         answer = self.dac.control(setup, b"" if asks else data[8:])
-        count = 0
-        if answer is not None:
-            count = len(answer) if asks else length - 8
-            if asks:
-                buffer.update(8, answer)
+        if answer is not None and asks:
+            buffer.update(8, answer)
+        count = 0 if answer is None else len(answer) if asks else length - 8
         urb.update(4, struct.pack("<i", -errno.EPIPE if answer is None else 0))
         urb.update(28, struct.pack("<i", count))
         self.done.append(urb)
@@ -273,8 +261,7 @@ def main() -> int:
     )
     for device in devices.values():
         device.plug()
-    loop = GLib.MainLoop()
-    pipe = f"{testbed.get_root_dir()}/control"
+    loop, pipe = GLib.MainLoop(), f"{testbed.get_root_dir()}/control"
     os.mkfifo(pipe)
     orders = os.open(pipe, os.O_RDWR | os.O_NONBLOCK)
 

@@ -76,8 +76,7 @@ class SoftwareMixer:
         if number == SWITCH:
             info.update(0, self._id(number) + struct.pack("<iIIi", BOOLEAN, READ_WRITE, 1, 0))
         elif number == VOLUME:
-            access = READ_WRITE | TABLE_READ
-            head = struct.pack("<iIIi", INTEGER, access, 2, 0)
+            head = struct.pack("<iIIi", INTEGER, READ_WRITE | TABLE_READ, 2, 0)
             info.update(0, self._id(number) + head + struct.pack("<qqq", self.lowest, 128, 1))
         else:
             return -1, errno.ENOENT

@@ -70,8 +70,7 @@ def large_burst_response(
     )
     volts = drive - source * motion.current_a
     return LargeBurst(
-        measured(motion.acceleration_m_s2, volts),
-        float(np.abs(motion.displacement_m).max()),
+        measured(motion.acceleration_m_s2, volts), float(np.abs(motion.displacement_m).max())
     )
 
 

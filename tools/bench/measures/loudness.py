@@ -38,9 +38,7 @@ def loudness_sone(sound: FloatArray) -> FloatArray:
     """
     from mosqito.sq_metrics.loudness.loudness_zwst._calc_slopes import _calc_slopes
     from mosqito.sq_metrics.loudness.loudness_zwst._main_loudness import _main_loudness
-    from mosqito.sq_metrics.loudness.loudness_zwtv._third_octave_levels import (
-        _third_octave_levels,
-    )
+    from mosqito.sq_metrics.loudness.loudness_zwtv._third_octave_levels import _third_octave_levels
 
     levels, _, _ = _third_octave_levels(FULL_SCALE_PA * sound, SAMPLERATE)
     core = decayed(_main_loudness(levels, "free"))

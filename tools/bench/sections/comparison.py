@@ -28,13 +28,7 @@ from tools.bench.sections.fidelity import (
     REST_S,
 )
 from tools.bench.sounds.signals import SAMPLERATE, Recording, burst, chord, tone
-from tools.bench.workbench import (
-    LIVE,
-    Playback,
-    Subject,
-    Workbench,
-    timed,
-)
+from tools.bench.workbench import LIVE, Playback, Subject, Workbench, timed
 
 TITLE = "Baselines"
 BLOCKSIZE, WHOLE_BLOCKSIZE = 256, 32_768

@@ -25,10 +25,7 @@ VOLUMES_DB = (0.0, -20.0)
 PAUSE_S = 0.5
 SETTLE_S = 60.0  # duration in s of the part in which loudness control settles
 SWELL_S, SWELL_TOP_DB = 16.0, -9.0
-SWELLS_DB = {
-    0.0: 30.0,
-    -20.0: 20.0,
-}  # range in dB of the swell, by volume in dB
+SWELLS_DB = {0.0: 30.0, -20.0: 20.0}  # range in dB of the swell, by volume in dB
 END_S = 1.0
 LAW = 0.63
 """Target slope in dB of vibration for each phon of loudness. A slope of 0.6 would make strength

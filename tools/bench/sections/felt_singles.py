@@ -41,11 +41,7 @@ class Floor:
     told: float
 
 
-FLOORS = {
-    "cinema": Floor(83.3, 48.4),
-    "game": Floor(85.3, 51.7),
-    "music": Floor(85.6, 52.1),
-}
+FLOORS = {"cinema": Floor(83.3, 48.4), "game": Floor(85.3, 51.7), "music": Floor(85.6, 52.1)}
 """Lower limits by profile."""
 
 

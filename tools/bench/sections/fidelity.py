@@ -10,11 +10,7 @@ from audioflinger_hook.transform import FloatArray, Frames, TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.principal import PrincipalFinder, Spectrum, magnitude
 from audioflinger_hook.transform.reference import ReferenceTransform
-from tools.bench.measures.vibration import (
-    agreement,
-    energy_above_db,
-    onset_lag_s,
-)
+from tools.bench.measures.vibration import agreement, energy_above_db, onset_lag_s
 from tools.bench.measures.windows import WindowAnalysis
 from tools.bench.report import Missing, Must, Row, Section, line
 from tools.bench.sounds.signals import (

@@ -11,20 +11,9 @@ from audioflinger_hook.transform import FloatArray, TransformParameters
 from audioflinger_hook.transform.mapping import vibration_hz
 from tools.bench.measures.vibration import energy_above_db, onset_lag_s, sine_fit
 from tools.bench.report import Row, Section, number
-from tools.bench.sections.fidelity import (
-    BURST_AMPLITUDE,
-    BURST_HZ,
-    BURST_ONSET_S,
-    REST_S,
-)
+from tools.bench.sections.fidelity import BURST_AMPLITUDE, BURST_HZ, BURST_ONSET_S, REST_S
 from tools.bench.sections.frontier_settings import DEFAULT, SETTINGS, Setup
-from tools.bench.sounds.signals import (
-    SAMPLERATE,
-    Stereo,
-    burst,
-    demo_sound,
-    tone,
-)
+from tools.bench.sounds.signals import SAMPLERATE, Stereo, burst, demo_sound, tone
 from tools.bench.workbench import Playback, Workbench, timed
 
 TITLE = "Cost against error"

@@ -71,10 +71,7 @@ def ways() -> tuple[Way, ...]:
 def profiles(bench: Workbench) -> Section:
     """Measure level, lag, similarity and range of levels of the vibration with each profile."""
     sounds, settled_s = sounds_of(bench.recordings), bench.effort.settled_s
-    rows = [
-        *_level_rows(sounds, settled_s),
-        Row(RANGE, _range_db(sounds[SPEECH]), "dB", "in"),
-    ]
+    rows = [*_level_rows(sounds, settled_s), Row(RANGE, _range_db(sounds[SPEECH]), "dB", "in")]
     for way in ways():
         latency_s = HapticTransform(SAMPLERATE, 1, way.parameters).latency_s
         felt = {name: way.settled(sound, settled_s) for name, sound in sounds.items()}

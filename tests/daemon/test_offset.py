@@ -1,0 +1,145 @@
+"""The offset: which source of it wins, which changes it follows, and what drop-in mode delays."""
+
+import pytest
+
+from audioflinger_hook.daemon import offset
+from audioflinger_hook.daemon.offset_store import OffsetStore, SinkPair
+from device.errors import UsageError
+from device.server.forwarding import MAX_DELAY_S, MIN_DELAY_S
+from tests.support.run_configs import config
+
+PAIR, OTHER = SinkPair("speakers", "cushion"), SinkPair("headphones", "cushion")
+OWN_S = 0.009
+NOTHING = offset.Declared()
+BLUETOOTH = offset.Declared(0.2, 0.0, is_known=True)
+
+
+class Case:
+    """An offset with a store, told of one pair of sinks; time passes by `update`."""
+
+    def __init__(self, folder, **live):
+        self.offset, self.now_s = offset.Offset(config(**live), OffsetStore(folder)), 0.0
+
+    def update(self, declared=NOTHING, *, pair=PAIR, own_s=OWN_S, after_s=0.25):
+        self.now_s += after_s
+        self.offset.update(pair, declared, own_s, self.now_s)
+        return self.offset.vibration_s
+
+    @property
+    def early_s(self):
+        """Time from the vibration to its sound, without what sinks and daemon add."""
+        return self.offset.sound_s - self.offset.vibration_s
+
+
+@pytest.fixture
+def case(tmp_path):
+    return Case(tmp_path)
+
+
+def test_it_is_never_below_0_without_drop_in_mode_nor_more_than_the_engines_can_delay(case):
+    assert case.update(offset.Declared(0.0, 0.3, is_known=True)) == 0.0
+    assert (case.update(BLUETOOTH, own_s=0.25), case.offset.sound_s) == (0.0, 0.0)
+    assert (
+        case.update(offset.Declared(offset.LONGEST_S, 0.0, is_known=True), own_s=-0.1)
+        == offset.LONGEST_S
+    )
+
+
+def test_only_changes_of_more_than_5_ms_are_followed(case):
+    first_s = case.update(BLUETOOTH)
+    assert (
+        case.update(offset.Declared(0.2 + 0.99 * offset.FOLLOWED_S, 0.0, is_known=True)) == first_s
+    )
+    assert case.update(BLUETOOTH, own_s=OWN_S - 0.99 * offset.FOLLOWED_S) == first_s
+    assert case.update(BLUETOOTH, own_s=None) == first_s  # no engine plays
+    assert case.update(offset.Declared(0.08, 0.0, is_known=True)) == pytest.approx(0.08 - OWN_S)
+    assert case.update(BLUETOOTH, pair=OTHER) == pytest.approx(0.2 - OWN_S)
+
+
+def test_slow_changes_are_followed_before_they_add_up(case):
+    errors_s = []
+    for step in range(100):
+        heard_s = 0.1 + 0.001 * step
+        errors_s.append(
+            abs(case.update(offset.Declared(heard_s, 0.0, is_known=True)) - (heard_s - OWN_S))
+        )
+    assert max(errors_s) <= offset.FOLLOWED_S + 1e-9
+
+
+def test_a_stored_delay_ends_the_trial_and_wins_over_a_declared_one_for_its_pair_only(tmp_path):
+    case = Case(tmp_path)
+    case.update(BLUETOOTH)
+    case.offset.try_out(0.3)
+    case.offset.store(0.12)
+    assert case.offset.vibration_s == pytest.approx(0.12)
+    assert case.offset.reason == offset.MEASURED
+    assert case.update(BLUETOOTH, pair=OTHER) == pytest.approx(0.2 - OWN_S)
+    assert case.offset.reason == offset.DECLARED
+    again = Case(tmp_path)
+    assert (again.update(BLUETOOTH), again.offset.reason) == (pytest.approx(0.12), offset.MEASURED)
+    slower_s = OWN_S + 0.06  # as with the Python engine
+    assert again.update(own_s=slower_s) == pytest.approx(0.06)
+
+
+def test_a_number_in_the_config_wins_over_everything_but_a_trial(tmp_path):
+    case = Case(tmp_path, offset_ms=30)
+    assert case.update(BLUETOOTH) == 0.03
+    case.offset.store(0.12)
+    assert (case.update(BLUETOOTH), case.offset.reason) == (0.03, offset.SET)
+    case.offset.try_out(0.25)
+    assert case.offset.vibration_s == 0.25
+    case.offset.try_out(None)
+    assert case.offset.vibration_s == 0.03
+    case.offset.follow(config())
+    assert case.offset.vibration_s == pytest.approx(0.12)
+    assert case.offset.reason == offset.MEASURED
+
+
+def test_a_trial_that_nobody_ends_ends_by_itself(case):
+    case.offset.try_out(0.3)
+    assert (case.update(after_s=5.0), case.update(after_s=offset.TRIAL_S - 1.0)) == (0.3, 0.3)
+    assert case.update(after_s=2.0) == 0.0
+
+
+@pytest.mark.parametrize("missing", [{"pair": None}, {"own_s": None}])
+def test_nothing_can_be_stored_without_two_sinks_and_a_playing_engine(case, missing):
+    case.update(**missing)
+    with pytest.raises(UsageError, match="it needs a sound that plays"):
+        case.offset.store(0.1)
+
+
+def test_drop_in_mode_delays_the_sound_instead_and_rarely_changes_its_delay(tmp_path):
+    case, sounds_s = Case(tmp_path, drop_in=True), set()
+    for own_s in (0.07, 0.076, 0.064, 0.079, 0.05, 0.07):
+        case.update(own_s=own_s)
+        sounds_s.add(case.offset.sound_s)
+        assert case.early_s == pytest.approx(own_s, abs=offset.FOLLOWED_S)
+    (sound_s,) = sounds_s
+    assert 0.07 <= sound_s <= 0.07 + offset.SPARE_MAX_S
+    case.update(own_s=0.2)
+    assert case.early_s == pytest.approx(0.2)
+
+
+def test_drop_in_mode_delays_the_vibration_where_the_sound_is_later(tmp_path):
+    case = Case(tmp_path, drop_in=True)
+    case.update(BLUETOOTH)
+    assert (case.offset.sound_s, case.early_s) == (MIN_DELAY_S, pytest.approx(OWN_S - 0.2))
+    case.update(own_s=3.0)
+    assert case.offset.sound_s == MAX_DELAY_S
+
+
+def test_drop_in_modes_delay_contains_the_one_of_the_sink_on_pulseaudio(tmp_path):
+    case = Case(tmp_path, drop_in=True)
+    case.update(offset.Declared(0.03, 0.03, forwarded_s=0.03), own_s=0.07)
+    # heard `sound_s` after its capture, felt after own latency, offset and the device's delay
+    assert case.offset.sound_s == pytest.approx(0.07 + case.offset.vibration_s + 0.03)
+
+
+@pytest.mark.parametrize("offset_s", [-0.06, 0.0, 0.1])
+def test_drop_in_mode_stores_what_was_tried(tmp_path, offset_s):
+    case = Case(tmp_path, drop_in=True)
+    case.update(own_s=0.07)
+    case.offset.try_out(offset_s)
+    tried_s = max(MIN_DELAY_S, case.offset.sound_s) - case.offset.vibration_s
+    case.offset.store(offset_s)
+    assert case.early_s == pytest.approx(tried_s)

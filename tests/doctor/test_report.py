@@ -1,0 +1,106 @@
+"""The report leaves out the names that a person gave, and keeps the names of outputs."""
+
+from dataclasses import replace
+
+import pytest
+
+from audioflinger_hook.config.settings import LiveSettings
+from audioflinger_hook.config.toml_text import Mistake
+from audioflinger_hook.doctor.checks import find
+from audioflinger_hook.doctor.facts import Delay
+from audioflinger_hook.doctor.report import HIDDEN, anonymous, facts_text, full_report
+from audioflinger_hook.service.status import Application, Endpoint
+from device.server.graph import Graph
+from tests.doctor.test_findings import HEALTHY, SERVER, STATUS
+from tests.support.graphs import link, node, port
+from tests.support.snapshots import stream
+
+PERSON = ("anna", "/home/anna", "annas-box")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "cannot read /home/anna/secret film.mkv: no such file",
+        "tap file:/media/secret.wav is missing",
+        "the stream 'secret' was left out",
+        'match = "secret" is no pattern',
+        "see ~/secret.toml",
+        "see ./secret.toml",
+        "/usr/bin/x by /home/anna/secret",
+        "PipeWire's 'secret' is muted",
+        "the stream 'it's secret' is muted",
+        "the tap app:secret film is missing",
+        "tap file:secret.wav is missing",
+    ],
+)
+def test_paths_and_quoted_names_are_hidden(line: str) -> None:
+    shown = anonymous(line, {"haptic"}, PERSON)
+    assert "secret" not in shown
+    assert HIDDEN in shown
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "The output 'haptic' is muted.",
+        "       pw-metadata -n settings 0 clock.force-rate 0",
+        '       echo "$USER - rtprio 20" | sudo tee /etc/security/limits.d/cushion.conf',
+        "dropouts: tap 0, output 0 and/or",
+        "cannot read the file: no permission",
+    ],
+)
+def test_what_a_helper_needs_stays(line: str) -> None:
+    assert anonymous(line, {"haptic"}, PERSON) == line.replace('"$USER - rtprio 20"', HIDDEN)
+
+
+def test_the_person_the_machine_and_values_of_a_config_are_hidden_and_its_keys_stay() -> None:
+    mistakes = (
+        Mistake("effects_file", 1, '"/a/it\'s, my; secret.xml"', "cannot be used", "a file"),
+        Mistake('tap = "app:secret', 2, "", "is not TOML (unclosed)", "key = value"),
+        Mistake("gain_db", 3, "99", "is out of range", "-60 to 24"),
+    )
+    live, status = LiveSettings(tap=("app:secret",)), replace(STATUS, tap=Endpoint("app:secret"))
+    facts = replace(HEALTHY, mistakes=mistakes, live=live, status=status)
+    text = full_report(facts, find(facts), [], PERSON)
+    assert "secret" not in text
+    assert "effects_file" in text
+    assert "gain_db = 99 is out of range" in text
+    assert anonymous("run as anna on annas-box", set(), PERSON) == f"run as {HIDDEN} on {HIDDEN}"
+
+
+def test_the_report_shows_no_name_of_an_application_a_stream_or_a_rule() -> None:
+    known = {"binary": "secret", "application": "secret", "media": "secret"}
+    server = replace(SERVER, sink_inputs=(stream(9, 1, "desktop", **known),))
+    status = replace(
+        STATUS,
+        reason="waits for secret",
+        rule="secret",
+        tap=Endpoint("default", "secret"),
+        applications=(Application("hush", plays=True, is_felt=True),),
+        warnings=("hush, secret, 'Sissy's \"secret\"' and Sissy's \"secret\" are felt",),
+    )
+    names = {"application": 'Sissy\'s "secret"', "media": "PipeWire"}
+    server = replace(server, sink_inputs=(*server.sink_inputs, stream(8, 1, "desktop", **names)))
+    chain = Graph()
+    chain.apply([node(60, "haptic-cushion-7-1.tap"), port(61, 60, "input_AUX0")])
+    chain.apply([node(70, "secret"), port(71, 70, "output_FL")])
+    chain.apply([link(80, 71, 61, chain)])
+    facts = replace(HEALTHY, server=server, graph=chain, status=status, pipewire="1.4.2")
+    facts = replace(
+        facts, errors=("cushion: warning: secret is loud", "cushion: error: no /a/secret")
+    )
+    text = full_report(facts, find(facts), [], PERSON)
+    assert "secret" not in text
+    assert "Sissy" not in text
+    assert "hush" not in text
+    assert f"last error:         cushion: warning: {HIDDEN} is loud" in text
+    assert "PipeWire:           1.4.2" in text  # the name of a stream, and a word of the doctor
+    assert "stream 70 -> haptic-cushion-7-1.tap (active) x 1" in text
+    assert "running, for 1.0 s" in text
+
+
+def test_on_pulseaudio_a_measured_delay_is_not_a_cycle_longer() -> None:
+    delay = Delay(12.3, bursts=4, was_played=True)
+    assert "median of 4 bursts; the true" in facts_text(replace(HEALTHY, delay=delay))
+    assert "12.3 ms (median of 4 bursts)" in facts_text(replace(HEALTHY, delay=delay, graph=None))
