@@ -20,7 +20,7 @@ class Mistake:
     """One mistake in a config file.
 
     key: `section.key`. line: line number of the key, from 1; 0 if unknown. value: as text.
-    problem: what is wrong. allowed: allowed values. nearest: most similar allowed name, or "".
+    problem: the mistake. allowed: allowed values. nearest: most similar allowed name, or "".
     """
 
     key: str

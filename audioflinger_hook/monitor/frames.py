@@ -25,7 +25,7 @@ class Frames:
     """Forwards the daemon's messages and adds frames. Only the event loop's thread may use it.
 
     tell: called with (kind, content) of each message. rate_hz: frames per second. has_readers:
-    tells whether a browser is connected.
+    returns whether a browser is connected.
     """
 
     def __init__(

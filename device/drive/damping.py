@@ -229,8 +229,8 @@ def choose_damping(
 ) -> list[Candidate]:
     """Return all candidate filters, the best one first. The function is slow.
 
-    The best filter is within the headroom and never worse than no filter (see `NEVER_WORSE`). Of
-    all such filters, it has the least `worst_db`. If no candidate is within the headroom, the best
+    The best filter is within the headroom and never worse than no filter (see `NEVER_WORSE`). No
+    such filter has a smaller `worst_db`. If no candidate is within the headroom, the best
     filter is the one that needs the least voltage, and its `affordable` is False.
     p: the actuator as identified. uncertainty: relative error of f0 in either direction, 0 to 0.5.
     headroom_db: largest allowed peak volts, relative to current drive without damping.
