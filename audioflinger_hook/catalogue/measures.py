@@ -19,11 +19,11 @@ POINTS = 120  # a picture of at least 2.4 s of sound has 120 to 240 points
 
 
 class VibrationMeter:
-    """Measures exposure and peaks of a vibration, block by block. Memory is constant."""
+    """Measures exposure and peaks of a vibration. Memory is constant."""
 
     def __init__(self, rig: str) -> None:
         self._rig = rig
-        self._energy: FloatArray = np.zeros(0)
+        self._energy = 0.0
         self._block: Float32Array = np.zeros((0, 0), np.float32)
         self._peaks: list[float] = []
         self._rate = self._filled = self._point_frames = self._in_point = 0
@@ -34,7 +34,6 @@ class VibrationMeter:
         if not self._rate:
             self._rate = samplerate
             channels = vibration.shape[1]
-            self._energy = np.zeros(channels)
             self._point_frames = max(1, round(POINT_S * samplerate))
             self._block = np.zeros((POINTS * self._point_frames, channels), np.float32)
         while len(vibration):
@@ -44,6 +43,15 @@ class VibrationMeter:
             vibration = vibration[len(taken) :]
             if self._filled == len(self._block):
                 self._take_block()
+
+    def finish(self, power: FloatArray, samplerate: int) -> None:
+        """Measure the exposure. power: summed spectra of windows, (frequencies, channels)."""
+        # The time integral of the squared weighted acceleration, m²/s³, by Parseval's theorem. BLAS
+        # is not used, since its threads would compete with other workers.
+        frames = 2 * (len(power) - 1)
+        gain = _weighted_gain(self._rig, samplerate, frames)
+        squares = (gain[:, None] * power[: len(gain)]).sum(axis=0)
+        self._energy = float(squares.max()) * 2.0 / (frames * samplerate)
 
     def measures(self) -> dict[str, Any]:
         """Return exposure and peaks of all blocks.
@@ -55,9 +63,8 @@ class VibrationMeter:
         """
         if self._filled:
             self._take_block()
-        energy = self._energy.max() if len(self._energy) else 0.0
         return {
-            "exposure_a8_m_s2": float(np.sqrt(energy / DAY_S)),
+            "exposure_a8_m_s2": float(np.sqrt(self._energy / DAY_S)),
             "course": [round(1e3 * peak) for peak in self._peaks],
             "course_step_s": self._fold * self._point_frames / max(1, self._rate),
         }
@@ -65,12 +72,6 @@ class VibrationMeter:
     def _take_block(self) -> None:
         block = self._block[: self._filled]
         self._filled = 0
-        # The time integral of the squared weighted acceleration, m²/s³, by Parseval's theorem. BLAS
-        # is not used, since its threads would compete with other workers.
-        gain = _weighted_gain(self._rig, self._rate, len(block))
-        spectrum = np.fft.rfft(block, axis=0)[: len(gain)]
-        squares = spectrum.real**2 + spectrum.imag**2
-        self._energy += (gain[:, None] * squares).sum(axis=0) * (2.0 / (len(block) * self._rate))
         starts = np.arange(0, len(block), self._point_frames)
         high, low = (one.reduceat(block, starts, axis=0) for one in (np.maximum, np.minimum))
         for peak in np.maximum(high, -low).max(axis=1).tolist():

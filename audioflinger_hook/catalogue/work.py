@@ -162,7 +162,7 @@ def _render(
     def make(target: Path) -> dict[str, Any]:
         tap, options = open_sound(path, item, recipe), recipe.options
         client, meter = TapClient(tap), VibrationMeter(settings.rig)
-        report = export(client, target, settings, options, warnings=tap.warnings, watch=meter.watch)
+        report = export(client, target, settings, options, warnings=tap.warnings, watch=meter)
         found = {one: getattr(report, one) for one in FIGURES}
         found["warnings"] = [str(one).replace(str(path), item.audio) for one in report.warnings]
         return {**found, **meter.measures()}

@@ -1,6 +1,7 @@
 """The `cushion` command: one module for each subcommand."""
 
 import contextlib
+import ctypes
 import errno
 import io
 import os
@@ -18,7 +19,8 @@ from device.errors import CushionError, UsageError, WriteError, unexpected
 from device.interruption import repeat_lost_interruptions
 
 EXIT_INTERRUPTED = 130
-NEEDED_MB = 160  # address space of a process that has loaded NumPy
+M_ARENA_MAX = -8  # of glibc's malloc.h
+NEEDED_MB = 320  # address space of a process that has loaded NumPy and SciPy
 
 STDOUT_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # `errno` of a failed `print`
 
@@ -78,11 +80,13 @@ def _run(arguments: Sequence[str]) -> int:
 
 
 def _check_memory() -> None:
-    """Raise UsageError if NumPy cannot be loaded, since OpenBLAS would end the process."""
+    """Raise UsageError if NumPy or SciPy cannot be loaded: OpenBLAS would end the process."""
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit == resource.RLIM_INFINITY:
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # each thread takes memory
+    with contextlib.suppress(AttributeError):  # only glibc has it
+        ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)  # so does each arena
     if limit < NEEDED_MB << 20:
         few = f"this process may use {limit >> 20} MB of memory (ulimit -v)"
         raise UsageError(f"{few}; allowed: at least {NEEDED_MB} MB; raise the limit")

@@ -66,8 +66,8 @@ def export(
     The same sound, settings and options give the same bytes. The client is closed. Any thread may
     call this function.
 
-    options: determine the format; the target's suffix does not. watch: function that is called
-        with each block of vibration, before the sample rate is converted.
+    options: determine the format; the target's suffix does not. watch: receives the vibration
+        before the sample rate is converted.
     Other parameters and errors: see `render`.
     UsageError: also if the format cannot represent the sound or the settings.
     """

@@ -1,9 +1,9 @@
 """Waveform files written by libsndfile, rate conversion, measurement of energy above 250 Hz."""
 
 import os
-from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import soundfile
@@ -212,10 +212,14 @@ def resampled(output: VibrationOutput, samplerate: int) -> VibrationOutput:
     return output if output.samplerate == samplerate else ResampledOutput(output, samplerate)
 
 
-Watch = Callable[[FloatArray | Float32Array, int], None]
-"""Called with each block of vibration, (frames, channels), before rate conversion, and with the
-block's rate in Hz.
-"""
+class Watch(Protocol):
+    """Receives the vibration of a file before rate conversion. samplerate: Hz."""
+
+    def watch(self, vibration: FloatArray | Float32Array, samplerate: int) -> None:
+        """Take the next block, (frames, channels)."""
+
+    def finish(self, power: FloatArray, samplerate: int) -> None:
+        """Take the sum of the power spectra of all windows, (frequencies, channels)."""
 
 
 class LeakMeter(WrappedOutput):
@@ -232,26 +236,28 @@ class LeakMeter(WrappedOutput):
         self._hop = 1 << (self.samplerate // 4).bit_length()
         self._held = np.zeros((2 * self._hop, self.channels), np.float32)
         self._filled = self._hop  # as after silence
-        self._energy = self._above = 0.0
+        self._power = np.zeros((self._hop + 1, self.channels))
 
     @property
     def leak_db(self) -> float | None:
         """Energy above 250 Hz in dB relative to the total energy; None for silence."""
-        if not self._energy or not self._above:
-            return None
-        return amplitude_to_db(float(np.sqrt(self._above / self._energy)))
+        first = int(AUDIBLE_FROM_HZ * len(self._held) / self.samplerate) + 1
+        above, energy = float(self._power[first:].sum()), float(self._power.sum())
+        return amplitude_to_db(float(np.sqrt(above / energy))) if above else None
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
         """Measure a block, (frames, channels), and pass it on."""
         check_channels(vibration, self.channels)
         self._measure(vibration)
         if self._watch and len(vibration):
-            self._watch(vibration, self.samplerate)
+            self._watch.watch(vibration, self.samplerate)
         super().write(vibration)
 
     def close(self) -> None:
         """Measure the last windows, and close the output."""
         self._measure(np.zeros_like(self._held))
+        if self._watch:
+            self._watch.finish(self._power, self.samplerate)
         super().close()
 
     def _measure(self, vibration: FloatArray | Float32Array) -> None:
@@ -262,10 +268,7 @@ class LeakMeter(WrappedOutput):
             vibration = vibration[len(taken) :]
             if self._filled == len(self._held):
                 spectrum = np.fft.rfft(_window(self._hop) * self._held, axis=0)
-                power = (spectrum.real**2 + spectrum.imag**2).sum(axis=1, dtype=np.float64)
-                self._energy += float(power.sum())
-                first = int(AUDIBLE_FROM_HZ * len(self._held) / self.samplerate) + 1
-                self._above += float(power[first:].sum())
+                self._power += spectrum.real**2 + spectrum.imag**2
                 self._held[: self._hop] = self._held[self._hop :]
                 self._filled = self._hop
 

@@ -28,6 +28,7 @@ from device.temporary_folder import delete_abandoned_folders, temporary_folder
 T = TypeVar("T")
 
 WORKERS_MAX = 256
+STARTS_MAX, START_S = 20, 0.02  # attempts to start workers, and the time between two attempts
 SOCKET_FOLDER_BYTES = 50  # the path of a socket is shorter than 108 bytes
 DIED = "for lack of memory or by a fault of a decoder; look at the file and the machine's log"
 NO_SERVER = "because the process that starts workers was killed from outside; run it again"
@@ -101,12 +102,15 @@ class LocalWorkers(Place):
 
     def submit(self, work: Callable[..., T], *arguments: Any) -> Future[T]:
         """Start or queue a batch in one of the processes."""
-        try:
-            return self._pool.submit(_unless_ended, work, *arguments)
-        except (BrokenExecutor, OSError, EOFError):  # a process or the forkserver died
-            self._pool.shutdown(wait=True, cancel_futures=True)
-            self._pool = self._new_pool()
-            return self._pool.submit(_unless_ended, work, *arguments)
+        for _ in range(STARTS_MAX):
+            try:
+                return self._pool.submit(_unless_ended, work, *arguments)
+            except (BrokenExecutor, OSError, EOFError) as error:  # a process or the forkserver died
+                found = error
+                self._pool.shutdown(wait=True, cancel_futures=True)
+                threading.Event().wait(START_S)  # the forkserver may still be dying
+                self._pool = self._new_pool()
+        raise InternalError(f"workers cannot be started ({found}); end other programs") from found
 
     def lost_worker(self, error: BaseException) -> bool:
         """Return whether `error` means that a process died."""
