@@ -11,7 +11,7 @@ from device.errors import NotFoundError
 from device.server import PulseConnection
 from device.server.graph_watch import GraphWatch
 
-LOOK_S = 0.1  # shortest time between two queries of PulseAudio
+LOOK_S = 0.05  # shortest time between two queries of PulseAudio: every tick has one
 
 # PulseAudio's latency of a sink rises when the sink fills its buffer, and falls until the next
 # time. A monitor gets the sound when the buffer is filled, so a latency in the upper third counts;

@@ -1,5 +1,6 @@
 """Which sinks the offset is about, when their delays are read, and what PulseAudio's mean."""
 
+import random
 from contextlib import nullcontext
 from dataclasses import replace
 from itertools import pairwise
@@ -7,6 +8,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 from unittest.mock import Mock
 
+import numpy as np
 import pytest
 
 from audioflinger_hook.daemon.alignment import Alignment
@@ -14,6 +16,7 @@ from audioflinger_hook.daemon.declared import LOOK_S, ORDINARY_S, DeclaredDelays
 from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.offset import DECLARED, FOLLOWED_S, UNKNOWN
 from audioflinger_hook.daemon.offset_store import OffsetStore, SinkPair
+from audioflinger_hook.daemon.supervisor import TICKS_S
 from device.clock.delay_control import DelayState, DelayStatus
 from tests.support.run_configs import config
 from tests.support.snapshots import monitor, sink, snapshot, source, stream
@@ -35,7 +38,7 @@ class Case:
         self.connection = SimpleNamespace(latest=snapshot("PulseAudio"), latencies_s=self._query)
         known, told = store or OffsetStore(), config(**live)
         self.made = Alignment(told, engines, cast(Any, drop_in), known, lambda: None)
-        self.now_s = 0.0
+        self.now_s, self.tick_s = 0.0, 0.093
 
     def _query(self) -> dict[str, float]:
         self.queries += 1
@@ -45,7 +48,7 @@ class Case:
         """Offset and reason after ticks for this time; heard: what the input has located."""
         end_s = self.now_s + seconds
         while self.now_s < end_s:
-            self.now_s += 0.093
+            self.now_s += self.tick_s
             self.made.maintain(
                 cast(Any, self.connection),
                 heard or monitor(HEADPHONES),
@@ -79,6 +82,18 @@ def test_another_latency_is_followed_within_3_s_and_rarely_asked_for():
     offset_s, _ = case.pass_s(3.0)
     assert offset_s == pytest.approx(0.09 - OWN_S)
     assert case.queries <= 13.0 / LOOK_S + 1
+
+
+@pytest.mark.parametrize("block_ms", [25.0, 37.9, 46.5, 93.0])
+def test_queries_do_not_keep_step_with_a_sinks_buffer(block_ms):
+    case, chance = Case(), random.Random(1)
+    found_s = []
+    for _ in range(400):
+        case.tick_s = chance.uniform(*TICKS_S)
+        case.latencies_s["bt"] = 0.2 - 1e-3 * block_ms + (-case.now_s) % (1e-3 * block_ms)
+        found_s.append(case.pass_s(0.05)[0])
+    settled_s = np.array(found_s[60:]) + OWN_S - 0.2
+    assert np.abs(settled_s + 1e-3 * block_ms / 3).max() < 1e-3 * block_ms / 6 + FOLLOWED_S
 
 
 def test_the_offset_stands_still_while_a_buffer_empties_and_fills():
