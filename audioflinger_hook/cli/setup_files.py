@@ -145,8 +145,7 @@ def _restore_config(record: Record) -> list[str]:
     if now == before:
         return [f"{path}: as it was before"]
     if now not in ((record.written or "").encode(), None):
-        kept = _copy(now or b"", path, "undone")
-        done.append(f"{kept}: your later changes")
+        done.append(f"{_copy(now or b'', path, 'undone')}: your later changes")
     if before is None:
         remove_file(path)
         return [*done, f"{path}: removed"]

@@ -32,10 +32,9 @@ def formats_of(
     device: None for a dump, which has no driver. asked: sample rates that the device reported.
     """
     listed = by_setting(device, root) if device else {}
-    decoded = playback_formats(configuration) if configuration else ()
     found = [
         _decoded(each, listed.pop((each.interface, each.alternate), None), asked)
-        for each in decoded
+        for each in (playback_formats(configuration) if configuration else ())
     ]
     uac = configuration.uac if configuration else None
     return found + [_listed(each, uac) for each in listed.values()]

@@ -99,10 +99,8 @@ class _Reading:
     def __init__(
         self, lines: dict[str, int], folder: Path, mistakes: list[Mistake], default_profile: str
     ) -> None:
-        self.default_profile = default_profile
-        self.lines = lines
-        self.folder = folder
-        self.mistakes = mistakes
+        self.lines, self.folder = lines, folder
+        self.mistakes, self.default_profile = mistakes, default_profile
         self.shown: dict[str, str] = {}
         # Accepted values by class and field; for arrays, the values of the latest table.
         self.accepted: dict[type[Described], dict[str, Any]] = {key.owner: {} for key in KEYS}
@@ -145,8 +143,7 @@ class _Reading:
                 self.shown[shown] = _shown(value)
             if name not in known:
                 # Similar names take long to find, and only the first mistakes are shown.
-                is_shown = len(self.mistakes) < LISTED_MAX
-                told = name if is_shown else ""
+                told = name if len(self.mistakes) < LISTED_MAX else ""
                 self._add(shown, _unknown(section, told, is_section=isinstance(value, dict)))
                 continue
             key = known[name]
@@ -214,8 +211,7 @@ class _Reading:
 
     def _add(self, key: str, refusal: Refusal) -> None:
         where = printable(key), self._line(key), self.shown.get(key, "")
-        why = refusal.wrong, refusal.allowed, refusal.nearest
-        self.mistakes.append(Mistake(*where, *why))
+        self.mistakes.append(Mistake(*where, refusal.wrong, refusal.allowed, refusal.nearest))
 
 
 @lru_cache(maxsize=128)

@@ -87,9 +87,8 @@ class Alignment:
             self._seen = None
             self._declared.close()
         elif own_s is not None and (plays or self._seen is None):  # idle sinks may declare nothing
-            forwards = self._config.live.drop_in
             self._seen = self._declared.read(
-                pair, connection, watch, cycle, now_s, forwards=forwards
+                pair, connection, watch, cycle, now_s, forwards=self._config.live.drop_in
             )
         self.offset.update(pair, self._seen or NOTHING, own_s, now_s)
         self._engines.set_offset(self.offset.vibration_s)

@@ -73,12 +73,9 @@ class Engine:
         on_step: OnStep | None = None,
         on_mix: OnMix | None = None,
     ) -> None:
-        self._client = client
-        self._clocks = clocks
-        self._on_step = on_step
+        self._client, self._clocks, self._on_step = client, clocks, on_step
         self.block_frames = block_frames
-        self.samplerate = client.samplerate
-        self.channels = client.channels
+        self.samplerate, self.channels = client.samplerate, client.channels
         self.framework = Framework(
             self.samplerate,
             self.channels,
@@ -126,8 +123,7 @@ class Engine:
         During this call, `fill` must not run, nor `advance` if the block length changes.
         """
         blocks = block_frames or self.block_frames
-        rate = round(self.delay_line.samplerate_out)
-        if (samplerate, blocks) != (rate, self.block_frames):
+        if (samplerate, blocks) != (round(self.delay_line.samplerate_out), self.block_frames):
             self.block_frames = blocks
             self.delay_line = self._line(samplerate, self.delay_line.offset_s)
             self._drop_ahead()
@@ -251,8 +247,9 @@ class SoftFade:
             return
         if self.position == 0.0:
             out = out[int(out.any(axis=1).argmax()) if out.any() else len(out) :]
-        step = self._step if wanted else -self._step
-        places = self.position + step * np.arange(1, len(out) + 1)
+        places = self.position + (self._step if wanted else -self._step) * np.arange(
+            1, len(out) + 1
+        )
         places = np.clip(places, 0.0, 1.0, out=places)
         out *= (places * places * (3.0 - 2.0 * places))[:, None]
         if len(out):

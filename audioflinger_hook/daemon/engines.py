@@ -51,11 +51,9 @@ class Engines:
         safety: SafetyKeeper | None,
     ) -> None:
         library()
-        self._config = config
+        self._config, self._folder = config, folder
+        self._clocks, self._endpoints = clocks, endpoints
         self.safety = safety or SafetyKeeper()
-        self._clocks = clocks
-        self._endpoints = endpoints
-        self._folder = folder
         self._ends_s: float | None = None
         self._follows_native = False
         self._chosen_for: tuple[object, ...] = ()
@@ -177,8 +175,7 @@ class Engines:
         self, connection: PulseConnection | None, source: AudioNode, device: AudioNode, now_s: float
     ) -> bool:
         """Choose an engine and end the other; return whether the Python engine must not play."""
-        seen = connection.latest if connection else None
-        self._undo_volume(seen)
+        self._undo_volume(connection.latest if connection else None)
         self._choose(connection, source)
         if not self._other_has_ended(now_s):
             return True

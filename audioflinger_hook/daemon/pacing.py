@@ -109,6 +109,5 @@ class Pacer:
 
     def _keep_pace(self) -> None:
         while not self._closed:
-            wait_s = self.step(self._now_s())
-            self._changed.wait(min(wait_s, 1.0))
+            self._changed.wait(min(self.step(self._now_s()), 1.0))
             self._changed.clear()

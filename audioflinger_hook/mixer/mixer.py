@@ -90,8 +90,7 @@ class Mixer:
         if wrong:
             raise UsageError(f"the mix cannot have {'; '.join(wrong)}")
         self.samplerate, self.channels = samplerate, channels
-        self.haptic_channels = haptic_channels
-        self.hal_frames = hal_frames
+        self.haptic_channels, self.hal_frames = haptic_channels, hal_frames
         self.frames = normal_buffer_frames(samplerate, hal_frames)
         self.buffer = MixBuffer(self.frames, channels, haptic_channels)
         self.sinks = tuple(sinks)

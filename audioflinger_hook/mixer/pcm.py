@@ -117,6 +117,5 @@ def encode(frames: NDArray[np.floating[Any]], pcm_format: PcmFormat) -> bytes:
     if pcm_format is PcmFormat.U8:
         return (whole + 128.0).astype(np.uint8).tobytes()
     if pcm_format is PcmFormat.I24:
-        words = whole.astype("<i4").reshape(-1, 1).view(np.uint8)
-        return words[:, :3].tobytes()
+        return whole.astype("<i4").reshape(-1, 1).view(np.uint8)[:, :3].tobytes()
     return whole.astype(pcm_format.dtype).tobytes()

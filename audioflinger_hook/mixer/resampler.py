@@ -85,8 +85,7 @@ def block_matrices(ratio: Ratio) -> BlockMatrices:
     period = up * repeats
     blocks = -(-period // rows_at_once)
     rows = -(-period // blocks)
-    output = np.arange(period)
-    position = output * down // up
+    position = np.arange(period) * down // up
     offsets = position[::rows][:blocks]
     columns = taps + max(
         int(position[min(first + rows, period) - 1] - position[first])

@@ -138,12 +138,8 @@ class Track:
             wrong.insert(0, f"format={pcm_format!r} is not one of PcmFormat: {known}")
         if wrong:
             raise UsageError(f"track {name!r} cannot be made: {'; '.join(wrong)}")
-        self.id = track_id
-        self.name = name
-        self.session = session
-        self.format = pcm_format
-        self.samplerate = samplerate
-        self.channels = channels
+        self.id, self.name, self.session = track_id, name, session
+        self.format, self.samplerate, self.channels = pcm_format, samplerate, channels
         self.mix_samplerate = mix_samplerate
         self.start_threshold = start_threshold
         self.ring = FrameRing(ring_frames, channels)

@@ -127,8 +127,7 @@ class Lane:
         self._state = track.mixed_state
         self._filling, self._leaving = True, False
         self._missed_frames = self._written_when_disabled = self._stop_at = self._tail_frames = 0
-        self._channels = channels
-        self._frames = frames
+        self._channels, self._frames = channels, frames
         self._map = ChannelMap(track.channels, channels)
         self._resampler: Resampler | None = None
         if track.samplerate != samplerate:

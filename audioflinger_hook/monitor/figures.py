@@ -36,8 +36,7 @@ def figures_of(document: dict[str, Any]) -> dict[str, Any]:
     try:
         status = from_document(Status, document)
     except UsageError:
-        versions = f"daemon {document['version']}, page {__version__}"
-        text = f"{versions}: restart the older one"
+        text = f"daemon {document['version']}, page {__version__}: restart the older one"
         return {"panels": {"health": [["version", text, "bad", OTHER]], "rig": []}, "parts": []}
     panels: dict[str, list[Any]] = {"health": [], "rig": []}
     for row in status_rows(status):

@@ -236,9 +236,8 @@ def simulated_rig_of(
     """Return a simulated rig for these channels. UsageError: a rig is unknown or invalid."""
     names = [actuator.rig or settings.rig for actuator in settings.actuators]
     rigs = [rig_by_name(name) for name in names or [settings.rig] * channel_map.actuators]
-    connected = [None if source is None else rigs[source] for source in channel_map.sources]
     return SimulatedRig(
-        connected,
+        [None if source is None else rigs[source] for source in channel_map.sources],
         samplerate,
         recorder=recorder,
         tolerance=settings.tolerance,

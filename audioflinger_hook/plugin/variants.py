@@ -74,8 +74,7 @@ def public_variants(plugin: Path) -> tuple[PluginVariant, ...]:
         for port in range(shown.port_count):
             name, kind = shown.port_names[port].decode(), shown.port_descriptors[port]
             limits = shown.port_ranges[port]
-            toggled = bool(limits.hint & TOGGLED)
-            ports.append(Port(name, kind, toggled, limits.lower, limits.upper))
+            ports.append(Port(name, kind, bool(limits.hint & TOGGLED), limits.lower, limits.upper))
         variants.append(PluginVariant(shown.label.decode(), shown.name.decode(), tuple(ports)))
     return tuple(variant for variant in variants if variant.label != OF_THE_DAEMON)
 
@@ -144,8 +143,7 @@ def _port(index: int, port: Port) -> str:
     unit = re.search(r"\((\w+)\)", port.name)
     if unit:
         lines.append(f"units:unit {_UNITS[unit[1]]}")
-    body = " ;\n        ".join(lines)
-    return f"[\n        {body}\n    ]"
+    return "[\n        " + " ;\n        ".join(lines) + "\n    ]"
 
 
 def symbol(name: str) -> str:

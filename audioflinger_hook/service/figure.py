@@ -8,6 +8,7 @@ import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, is_dataclass, replace
 from enum import Enum
+from functools import cache
 from operator import attrgetter
 from types import NoneType
 from typing import Any, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
@@ -84,9 +85,6 @@ TOP, HIDDEN = Figure(""), Figure("")
 """Parents of figures. TOP: the complete status. HIDDEN: its figures are not shown."""
 
 
-_TABLES: dict[Any, list[tuple[str, Figure, Any]]] = {}
-
-
 class Entry(NamedTuple):
     """A figure of the status, or a group of figures."""
 
@@ -117,17 +115,15 @@ class Entry(NamedTuple):
         return BASE.get(self.unit, float)(value)
 
 
+@cache
 def table(kind: Any) -> list[tuple[str, Figure, Any]]:
     """Return name, figure and type of each field of a dataclass; a type `X | None` becomes X."""
-    if kind in _TABLES:
-        return _TABLES[kind]
     found, hints = [], get_type_hints(kind)
     for field in dataclasses.fields(kind):
         hint = hints[field.name]
         if NoneType in get_args(hint):
             hint = next(one for one in get_args(hint) if one is not NoneType)
         found.append((field.name, field.metadata["figure"], hint))
-    _TABLES[kind] = found
     return found
 
 
@@ -159,8 +155,7 @@ def gathered(kind: type[T], *sources: object, **given: Any) -> T:
     """
     for name, known, _ in table(kind):
         read = known.read or name
-        first = read.partition(".")[0]
-        source = next((one for one in sources if hasattr(one, first)), None)
+        source = next((one for one in sources if hasattr(one, read.partition(".")[0])), None)
         if name not in given and source is not None:
             value = attrgetter(read)(source)
             given[name] = value if known.scale is None or value is None else known.scale * value

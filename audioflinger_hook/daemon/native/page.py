@@ -35,12 +35,9 @@ class Page:
         self.path = path
         self._channels = channels
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-        file = os.open(path, flags, 0o600)
-        try:
-            os.ftruncate(file, SIZE)
-            memory = mmap.mmap(file, SIZE)
-        finally:
-            os.close(file)
+        with os.fdopen(os.open(path, flags, 0o600), "r+b") as file:
+            file.truncate(SIZE)
+            memory = mmap.mmap(file.fileno(), SIZE)
         self.layout = page = Layout.from_buffer(memory)
         self.reader = ShownReader(memory, channels, len(sources))
         self.prepare(0, vibrations, sources)
@@ -158,8 +155,7 @@ class Page:
 
     def channel_readings(self) -> list[Reading]:
         """Return peak and mean square of each channel of the tap."""
-        found = self.readings.sound[: self._channels]
-        return [(level.peak, level.mean_square) for level in found]
+        return [(one.peak, one.mean_square) for one in self.readings.sound[: self._channels]]
 
     def principal(self) -> list[tuple[float, float, float]]:
         """Return the latest partials. See `HapticTransform.principal`."""

@@ -44,8 +44,7 @@ class PacedOutput(Output):
     @property
     def name(self) -> str | None:
         """The address while vibration is written, else None."""
-        runs = self._job is not None and self._pacer.is_doing(self._job)
-        return str(self) if runs else None
+        return str(self) if self._job is not None and self._pacer.is_doing(self._job) else None
 
     @property
     def summary(self) -> str:
