@@ -247,9 +247,8 @@ class SoftFade:
             return
         if self.position == 0.0:
             out = out[int(out.any(axis=1).argmax()) if out.any() else len(out) :]
-        places = self.position + (self._step if wanted else -self._step) * np.arange(
-            1, len(out) + 1
-        )
+        step = self._step if wanted else -self._step
+        places = self.position + step * np.arange(1, len(out) + 1)
         places = np.clip(places, 0.0, 1.0, out=places)
         out *= (places * places * (3.0 - 2.0 * places))[:, None]
         if len(out):

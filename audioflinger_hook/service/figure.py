@@ -8,7 +8,6 @@ import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, is_dataclass, replace
 from enum import Enum
-from functools import cache
 from operator import attrgetter
 from types import NoneType
 from typing import Any, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
@@ -85,6 +84,9 @@ TOP, HIDDEN = Figure(""), Figure("")
 """Parents of figures. TOP: the complete status. HIDDEN: its figures are not shown."""
 
 
+_TABLES: dict[Any, list[tuple[str, Figure, Any]]] = {}
+
+
 class Entry(NamedTuple):
     """A figure of the status, or a group of figures."""
 
@@ -115,15 +117,17 @@ class Entry(NamedTuple):
         return BASE.get(self.unit, float)(value)
 
 
-@cache
 def table(kind: Any) -> list[tuple[str, Figure, Any]]:
     """Return name, figure and type of each field of a dataclass; a type `X | None` becomes X."""
+    if kind in _TABLES:
+        return _TABLES[kind]
     found, hints = [], get_type_hints(kind)
     for field in dataclasses.fields(kind):
         hint = hints[field.name]
         if NoneType in get_args(hint):
             hint = next(one for one in get_args(hint) if one is not NoneType)
         found.append((field.name, field.metadata["figure"], hint))
+    _TABLES[kind] = found
     return found
 
 
