@@ -203,14 +203,11 @@ class _Reading:
             settings, LiveSettings(**self.accepted[LiveSettings], application_rules=rules)
         )
 
-    def _line(self, key: str) -> int:
-        """Return the line number of a key, else that of its section, else 0."""
+    def _add(self, key: str, refusal: Refusal) -> None:
         section = key.partition(".")[0]
         names = (key, section, section.partition("[")[0])
-        return next((self.lines[name] for name in names if name in self.lines), 0)
-
-    def _add(self, key: str, refusal: Refusal) -> None:
-        where = printable(key), self._line(key), self.shown.get(key, "")
+        line = next((self.lines[name] for name in names if name in self.lines), 0)
+        where = printable(key), line, self.shown.get(key, "")
         self.mistakes.append(Mistake(*where, refusal.wrong, refusal.allowed, refusal.nearest))
 
 

@@ -137,7 +137,12 @@ class Settings(Described):
         becomes "rig" if all actuators share one rig, damping, protection and exposure cap, and one
         of these is not the default. UsageError: the rig file cannot be read.
         """
-        chosen, driven = self.parameters, self._driven
+        names = ("rig", "damping", "protection", "exposure_cap")
+        driven = {
+            tuple(getattr(one, name, None) or getattr(self, name) for name in names)
+            for one in self.actuators or (self,)
+        }
+        chosen = self.parameters
         of_profile = PROFILES[self.profile].get("strength")
         if of_profile and chosen.strength == of_profile.value and "strength" not in self.said:
             unset = {(SHIPPED[0], DAMPING[0], PROTECTION[0], EXPOSURE_CAP[0])}
@@ -148,15 +153,6 @@ class Settings(Described):
         rig, damping = min(driven)[:2] if len(driven) == 1 else (self.rig, self.damping)
         hz, q, gain_db = resonance_as_damped(rig_by_name(rig).actuator, damping == "auto")
         return replace(chosen, resonance_hz=hz, resonance_q=q, resonance_gain_db=gain_db)
-
-    @property
-    def _driven(self) -> set[tuple[str, ...]]:
-        own = (self.rig, self.damping, self.protection, self.exposure_cap)
-        names = ("rig", "damping", "protection", "exposure_cap")
-        return {
-            tuple(getattr(one, name, None) or mine for name, mine in zip(names, own, strict=True))
-            for one in self.actuators
-        } or {own}
 
     @property
     def sources(self) -> tuple[str, ...]:

@@ -36,9 +36,8 @@ def undone_db(volume_db: float, server: str) -> float:
 class SoundGain:
     """Multiplies samples by the gain `wanted`. A change of the gain extends over one buffer.
 
-    At a gain above 1, samples are limited to full scale, because the gain may still compensate
-    an earlier, lower volume. Only one thread may call `apply` at a time. Any thread may set
-    `wanted`.
+    At a gain above 1, samples are limited to full scale, because the gain may still compensate an
+    earlier, lower volume. Only one thread may call `apply` at a time. Any thread may set `wanted`.
     """
 
     def __init__(self) -> None:

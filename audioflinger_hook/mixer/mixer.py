@@ -42,10 +42,9 @@ class MixerState(Enum):
 class CycleReport(NamedTuple):
     """Report of one cycle.
 
-    state: state of the mixer after the cycle. frames_written: 0 in standby.
-    tracks_mixed: number of mixed tracks.
-    underruns: number of playing tracks that had too few frames.
-    buffer: the written samples, or silence in standby; the next cycle overwrites the buffer.
+    state: state of the mixer after the cycle. frames_written: 0 in standby. tracks_mixed: number of
+    mixed tracks. underruns: number of playing tracks that had too few frames. buffer: the written
+    samples, or silence in standby; the next cycle overwrites the buffer.
     """
 
     state: MixerState

@@ -41,7 +41,9 @@ def figures_of(document: dict[str, Any]) -> dict[str, Any]:
     panels: dict[str, list[Any]] = {"health": [], "rig": []}
     for row in status_rows(status):
         if row.panel:
-            panels[row.panel].append([row.label.strip(), _text(row), _tone(row), row.help])
+            tones = {piece.tone for piece in row.pieces}
+            tone = next((tone for tone in TONES if tone in tones), "")
+            panels[row.panel].append([row.label.strip(), _text(row), tone, row.help])
     parts = [
         [label_of(name, known), getattr(status.latency, name), known.help]
         for name, known, _ in table(LatencyBudget)
@@ -55,11 +57,6 @@ def _text(row: Row) -> str:
     if row.panel != "rig":
         return str(row)
     return "".join(text.replace(", ", "\n", text.startswith(", ")) for text, _ in row.parts)
-
-
-def _tone(row: Row) -> str:
-    tones = {piece.tone for piece in row.pieces}
-    return next((tone for tone in TONES if tone in tones), "")
 
 
 def metrics_text(source: Clients) -> bytes:

@@ -126,10 +126,11 @@ def _plugin(variant: PluginVariant) -> str:
 def _port(index: int, port: Port) -> str:
     direction = "lv2:InputPort" if port.kind & INPUT else "lv2:OutputPort"
     kind = "lv2:AudioPort" if port.kind & AUDIO else "lv2:ControlPort"
+    symbol = re.sub(r"\W+", "_", port.name.partition(" (")[0].lower())  # gain for "Gain (dB)"
     lines = [
         f"a {direction} , {kind}",
         f"lv2:index {index}",
-        f'lv2:symbol "{symbol(port.name)}"',
+        f'lv2:symbol "{symbol}"',
         f'lv2:name "{port.name}"',
     ]
     if port.kind & CONTROL and port.kind & INPUT:
@@ -144,8 +145,3 @@ def _port(index: int, port: Port) -> str:
     if unit:
         lines.append(f"units:unit {_UNITS[unit[1]]}")
     return "[\n        " + " ;\n        ".join(lines) + "\n    ]"
-
-
-def symbol(name: str) -> str:
-    """Return the LV2 symbol for a port's name, such as "gain" for "Gain (dB)"."""
-    return re.sub(r"\W+", "_", name.partition(" (")[0].lower())

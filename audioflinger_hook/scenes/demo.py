@@ -38,11 +38,9 @@ Voice: TypeAlias = "Callable[[int, np.random.Generator, float], Float32Array]"
 class SceneTrack:
     """One sound of a scene.
 
-    name: name of the sound. samplerate: Hz.
-    frames: (frames, channels), full scale 1.
-    start_s: seconds from the start of the scene.
-    pcm_format: sample format of the track.
-    pause_s: start and end of a pause in seconds from the start of the scene, or None.
+    name: name of the sound. samplerate: Hz. frames: (frames, channels), full scale 1. start_s:
+    seconds from the start of the scene. pcm_format: sample format of the track. pause_s: start and
+    end of a pause in seconds from the start of the scene, or None.
     """
 
     name: str
