@@ -18,6 +18,8 @@ from device.usb import UsbAudioDevice
 from device.usb.descriptors import Configuration, PlaybackFormat, RateRange, playback_formats
 from device.usb.mapping import hw_names
 
+_DSD = {"raw data", "DSD"}  # "raw data" in USB Audio 2 is taken as native DSD
+_SYNCHRONISATIONS = {"ASYNC": "asynchronous", "ADAPTIVE": "adaptive", "SYNC": "synchronous"}
 Samplerates = list[int] | dict[str, int] | None  # discrete rates or a range in Hz; None if unknown
 
 
@@ -76,9 +78,6 @@ def samplerates_text(rates: Samplerates, units: str = "Hz") -> str:
     return f"{', '.join(f'{rate / per_unit:.10g}' for rate in rates)} {units}"
 
 
-_DSD = {"raw data", "DSD"}  # "raw data" in USB Audio 2 is taken as native DSD
-
-
 def _decoded(
     each: PlaybackFormat, listed: UsbFormat | None, asked: Sequence[RateRange]
 ) -> dict[str, Any]:
@@ -120,9 +119,6 @@ def _listed(each: UsbFormat, uac: int | None) -> dict[str, Any]:
         "feedback": False,
         "implicit_feedback": False,
     }
-
-
-_SYNCHRONISATIONS = {"ASYNC": "asynchronous", "ADAPTIVE": "adaptive", "SYNC": "synchronous"}
 
 
 def _is_dsd(listed: UsbFormat) -> bool:

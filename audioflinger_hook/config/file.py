@@ -6,14 +6,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from audioflinger_hook.config import profiles
 from audioflinger_hook.config.applications import ApplicationRule, rule_refusals
 from audioflinger_hook.config.edits import Edits, apply_edits
-from audioflinger_hook.config.profiles import (
-    LIVE_DEFAULT,
-    OFFLINE_DEFAULT,
-    parameters_of,
-    values_of,
-)
 from audioflinger_hook.config.schema import (
     ACTUATOR,
     APPLICATION,
@@ -56,10 +51,12 @@ def default_path() -> Path:
 def names_a_device() -> bool:
     """Return whether the user's config names a device. UsageError: the file has mistakes."""
     path = default_path()
-    return path.exists() and load(path, LIVE_DEFAULT).live.device is not None
+    return path.exists() and load(path, profiles.LIVE_DEFAULT).live.device is not None
 
 
-def load(path: Path, default_profile: str = OFFLINE_DEFAULT, edits: Edits | None = None) -> Config:
+def load(
+    path: Path, default_profile: str = profiles.OFFLINE_DEFAULT, edits: Edits | None = None
+) -> Config:
     """Return the settings of a config file; see `check`. UsageError: the file has mistakes."""
     config, mistakes = check(path, default_profile, edits)
     if config is None:
@@ -69,7 +66,7 @@ def load(path: Path, default_profile: str = OFFLINE_DEFAULT, edits: Edits | None
 
 
 def check(
-    path: Path, default_profile: str = OFFLINE_DEFAULT, edits: Edits | None = None
+    path: Path, default_profile: str = profiles.OFFLINE_DEFAULT, edits: Edits | None = None
 ) -> tuple[Config | None, list[Mistake]]:
     """Return a file's settings and an empty list, or None and all mistakes, ordered by line.
 
@@ -175,7 +172,7 @@ class _Reading:
                 self._add(f"{ACTUATOR}[{number}].channels", refusal)
 
     def _contradictions(self, owner: type[Described], profile: str) -> dict[str, Refusal]:
-        base = values_of(profile) if owner is TransformParameters else {}
+        base = profiles.values_of(profile) if owner is TransformParameters else {}
         values = owner.defaults() | base | self.accepted[owner]
         values = {n: value for n, value in values.items() if (owner, n) not in self.refused}
         return owner.contradictions(values)
@@ -191,7 +188,7 @@ class _Reading:
             **self.accepted[Settings]
             | {
                 "profile": self.profile,
-                "parameters": parameters_of(self.profile, chosen),
+                "parameters": profiles.parameters_of(self.profile, chosen),
                 "said": tuple(chosen),
                 "actuators": tuple(
                     ActuatorSettings(**actuator) for actuator in self.arrays[ACTUATOR]

@@ -23,6 +23,7 @@ READ_BLOCKS = 4  # largest number of blocks that one call reads from the delay l
 FADED = 1e-6  # vibration with a smaller peak counts as silent; full scale is 1
 
 FADE_S = 0.04  # duration of a fade, as in the plugin
+CAPACITY_S = 3.0  # length of the delay line, which suffices for an offset of 2 s
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,6 @@ class Clocks:
     used_s: Callable[[], float]
     slept_s: Callable[[], float] = float
 
-
-CAPACITY_S = 3.0  # length of the delay line, which suffices for an offset of 2 s
 
 # Called with (mixed sound, vibration before the drive, time in s) of one cycle.
 OnStep = Callable[[Float32Array, Float32Array, float], None]

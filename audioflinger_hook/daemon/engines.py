@@ -121,7 +121,7 @@ class Engines:
         native = self.native.engine
         if self.python is not None:
             return self.python.drive.processors
-        return native.chain.rigs if native is not None and native.chain is not None else ()
+        return native.chain.design.rigs if native is not None and native.chain is not None else ()
 
     def _restore(self, rigs: Sequence[DrivenRig | None], first: bool) -> None:
         """Give new rigs the recorded states (only if `first`), then the playing rigs' states."""

@@ -1,6 +1,5 @@
 """The main thread of the daemon: opens streams, watches them, and closes them while idle."""
 
-import random
 from contextlib import closing
 from pathlib import Path
 
@@ -26,9 +25,9 @@ from device.server import PulseConnection, ServerSnapshot
 from device.server.snapshot import Source, tap_latency_s
 from device.stream import AudioPriority
 
-# Longest time between ticks while streams are open: another one each time, as queries of a sink's
-# latency must not keep step with its buffer.
-TICKS_S = (0.075, 0.11)
+# Longest time between ticks while streams are open. Queries of a sink's latency must not keep step
+# with its buffer, whose length is often a multiple of 5 ms.
+TICK_S = 0.093
 RESTING_TICK_S = 1.0  # longest time between ticks while idle
 
 
@@ -92,7 +91,7 @@ class Supervisor:
         """Longest time until the next tick in seconds, unless `wake` rings."""
         if self.states.state is DaemonState.IDLE:
             return RESTING_TICK_S
-        return self.engines.tick_s or random.uniform(*TICKS_S)
+        return self.engines.tick_s or TICK_S
 
     def played_s(self, now_s: float) -> float:
         """Return the length of the run in seconds.

@@ -46,9 +46,7 @@ class StallDetector:
     """Counts stalls of the process and suspends of the machine between ticks."""
 
     def __init__(self, states: StateKeeper, slept_s: Callable[[], float]) -> None:
-        self._states = states
-        self._slept = slept_s
-        self._slept_s = slept_s()
+        self._states, self._slept, self._slept_s = states, slept_s, slept_s()
         self._ticked_s: float | None = None
         self._resyncs = 0
 

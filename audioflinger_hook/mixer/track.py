@@ -13,6 +13,9 @@ from device.errors import UsageError
 from device.layouts import CHANNELS_MAX
 from device.units import Float32Array
 
+SAMPLERATES = 1_000, 768_000  # lowest and highest, Hz
+PERIODS_IN_RING = 2  # default capacity of a ring in mixer cycles
+
 
 class TrackState(Enum):
     """State of a track."""
@@ -83,10 +86,6 @@ class FrameRing:
         first = position % self.capacity_frames
         wrapped = max(0, first + count - self.capacity_frames)
         return self._frames[first : first + count - wrapped], self._frames[:wrapped]
-
-
-SAMPLERATES = 1_000, 768_000  # lowest and highest, Hz
-PERIODS_IN_RING = 2  # default capacity of a ring in mixer cycles
 
 
 class Track:
@@ -189,19 +188,19 @@ class Track:
 
     def start(self) -> None:
         """Begin to play when `start_threshold` frames are in the ring; after a pause, fade in."""
-        self._ask(Request.START)
+        self.requests.append((Request.START, self.ring.written))
 
     def pause(self) -> None:
         """Fade out over one buffer. The frames in the ring remain."""
-        self._ask(Request.PAUSE)
+        self.requests.append((Request.PAUSE, self.ring.written))
 
     def stop(self) -> None:
         """Play the frames written before this call, then stop. A paused track drops its frames."""
-        self._ask(Request.STOP)
+        self.requests.append((Request.STOP, self.ring.written))
 
     def flush(self) -> None:
         """Drop the frames written before this call. ACTIVE and RESUMING tracks ignore this."""
-        self._ask(Request.FLUSH)
+        self.requests.append((Request.FLUSH, self.ring.written))
 
     def set_volume(self, volume: float | Sequence[float]) -> None:
         """Set the gain, 0 to 1, with a ramp over the next buffer.
@@ -228,9 +227,6 @@ class Track:
         ):
             return samples
         return stored_frames(samples, self.format, self.channels)
-
-    def _ask(self, request: Request) -> None:
-        self.requests.append((request, self.ring.written))
 
 
 def period_frames(samplerate: int, mix_samplerate: int, mix_frames: int) -> int:

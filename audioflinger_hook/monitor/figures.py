@@ -19,7 +19,7 @@ from audioflinger_hook import __version__
 from audioflinger_hook.monitor.clients import Clients
 from audioflinger_hook.service.figure import Entry, Row, label_of, metrics, table
 from audioflinger_hook.service.json_codec import from_document
-from audioflinger_hook.service.meters import TIME_BOUNDS_S, BufferTimes
+from audioflinger_hook.service.meters import TIME_BOUNDS_S
 from audioflinger_hook.service.status import LatencyBudget, Status, status_rows
 from device.errors import UsageError
 
@@ -86,8 +86,12 @@ class _Collector:
             yield InfoMetricFamily("cushion_build", "Versions of daemon and page.", build)
         if status is not None:
             yield from _families(status)
-            if status.buffer_times.counts:
-                yield _histogram(status.buffer_times)
+            if (times := status.buffer_times).counts:
+                # Only the Python engine measures times: the native engine runs inside PipeWire.
+                bounds = [*map(repr, TIME_BOUNDS_S), "+Inf"]
+                hops = HistogramMetricFamily("cushion_hop_seconds", "Time to compute one buffer.")
+                hops.add_metric([], list(zip(bounds, times.counts, strict=True)), times.busy_s)
+                yield hops
 
 
 def _families(status: Status) -> Iterator[Metric]:
@@ -114,11 +118,3 @@ def _meaning(entry: Entry) -> str:
     is_part = len(entry.path) > 1 and "{" in entry.figure.metric and "{^" not in entry.figure.metric
     text = entry.group.__doc__.partition("\n")[0] if is_part else f"{entry.figure.help}."
     return f"{text[0].upper()}{text[1:]}"
-
-
-def _histogram(times: BufferTimes) -> Metric:
-    # Only the Python engine measures times, since the native engine runs inside PipeWire.
-    bounds = [*map(repr, TIME_BOUNDS_S), "+Inf"]
-    hops = HistogramMetricFamily("cushion_hop_seconds", "Time to compute one buffer.")
-    hops.add_metric([], list(zip(bounds, times.counts, strict=True)), times.busy_s)
-    return hops

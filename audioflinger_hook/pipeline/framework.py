@@ -9,14 +9,8 @@ from numpy.typing import NDArray
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.drive.drive import Drive
+from audioflinger_hook.effect import haptic_parameters
 from audioflinger_hook.effect.chain import BUDGET_SHARE, EffectChains
-from audioflinger_hook.effect.haptic_parameters import (
-    DRAIN,
-    GLIDES,
-    HAPTIC_CUSHION,
-    PRINCIPAL,
-    from_settings,
-)
 from audioflinger_hook.effect.interface import OK, Command, Values
 from audioflinger_hook.effect.module import BlockWatch, EffectModule
 from audioflinger_hook.effect.registry import EffectRegistry
@@ -107,12 +101,12 @@ class Framework:
     @property
     def principal(self) -> tuple[tuple[float, float, float], ...]:
         """Partials of the latest hop, as in `HapticTransform.principal`. Any thread may read it."""
-        status, partials = self.haptic.command(PRINCIPAL)
+        status, partials = self.haptic.command(haptic_parameters.PRINCIPAL)
         return partials if status == OK and isinstance(partials, tuple) else ()
 
     def take_glides(self) -> NDArray[np.float64]:
         """Return the glides since the last call; see `HapticTransform.take_glides`."""
-        return self._array(GLIDES)
+        return self._array(haptic_parameters.GLIDES)
 
     def change(self, settings: Settings) -> None:
         """Apply new transform parameters or a new gain from the next cycle on, but nothing else.
@@ -130,7 +124,7 @@ class Framework:
 
     def drain(self) -> NDArray[np.float32]:
         """Return the vibration that the effect still holds. InternalError: see `check_haptics`."""
-        return self._array(DRAIN)
+        return self._array(haptic_parameters.DRAIN)
 
     def check_haptics(self) -> None:
         """Raise InternalError if the haptic effect is bypassed: a file would lack vibration."""
@@ -164,19 +158,20 @@ class Framework:
                 self.warnings.append(f"effect {uuid} is left out: {error}")
                 continue
             module.enable()
-            if uuid == HAPTIC_CUSHION.uuid:
+            if uuid == haptic_parameters.HAPTIC_CUSHION.uuid:
                 haptic = module
         if haptic is None:
             why = f" ({'; '.join(self.warnings)})" if self.warnings else ""
             raise UsageError(
-                f"{path} does not apply the haptic effect ({HAPTIC_CUSHION.uuid}) to the stream "
+                f"{path} does not apply the haptic effect "
+                f"({haptic_parameters.HAPTIC_CUSHION.uuid}) to the stream "
                 f"{OUTPUT_MIX_STREAM!r}{why}; without it there is no vibration"
             )
         return haptic
 
     @staticmethod
     def _parameters(settings: Settings) -> Values:
-        parameters = from_settings(settings)
+        parameters = haptic_parameters.from_settings(settings)
         # The vibration of the reference form has the paper's values, so it is not clipped.
         parameters["clip"] = settings.form != "reference"
         return parameters

@@ -153,11 +153,6 @@ class Chain:
         return self.wanted.plan
 
     @property
-    def rigs(self) -> tuple[DrivenRig | None, ...]:
-        """The rigs that the core drives now."""
-        return self.design.rigs
-
-    @property
     def is_changing(self) -> bool:
         """Whether the plugin has not yet changed to the wanted design."""
         return self.design is not self.wanted
