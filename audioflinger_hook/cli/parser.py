@@ -258,8 +258,7 @@ def _plugin(command: Parser) -> None:
     verbs = ("path", "install", "remove")
     command.add_argument("does", choices=verbs, metavar="|".join(verbs), help=does)
     names = f"profile of the PipeWire chain: {', '.join(PROFILES)}"
-    profile = command.add_value("--profile", str, "NAME", names, LIVE_DEFAULT)
-    profile.choices = tuple(PROFILES)
+    command.add_value("--profile", str, "NAME", names, LIVE_DEFAULT).choices = tuple(PROFILES)
     command.add_value(
         "--device", str, "NODE", "also write a PipeWire chain that plays to this sink"
     )

@@ -41,8 +41,7 @@ class SoundGain:
     """
 
     def __init__(self) -> None:
-        self.wanted = 1.0
-        self._reached = 1.0
+        self.wanted = self._reached = 1.0
 
     def apply(self, frames: Float32Array) -> Float32Array:
         """Return the samples times the gain. For a constant gain of 1, return `frames` itself."""

@@ -261,8 +261,7 @@ class _DriveOutput:
         self.now_s = 0.0
         self.earlier: Sequence[tuple[float, int]] = ()
         self.held: list[Float32Array] | None = None
-        self.samplerate = engine.samplerate
-        self.channels = engine.framework.haptic_channels
+        self.samplerate, self.channels = engine.samplerate, engine.framework.haptic_channels
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
         engine = self._engine

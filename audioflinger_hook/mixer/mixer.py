@@ -269,8 +269,7 @@ class SessionMix:
     def __init__(self, samplerate: int, frames: int, channels: int, haptic_channels: int) -> None:
         self.buffer = mix_buffer.MixBuffer(frames, channels, haptic_channels)
         self._tail_whole = round(TAIL_S * samplerate)
-        self._tail_left = 0
-        self._empty = True
+        self._tail_left, self._empty = 0, True
 
     def add(self, lane: Lane, scratch: Float32Array) -> None:
         """Add a track for which `Lane.prepare` has returned READY."""

@@ -73,8 +73,7 @@ class FrameRing:
     def __init__(self, capacity_frames: int, channels: int) -> None:
         self._frames = np.zeros((capacity_frames, channels), np.float32)
         self.capacity_frames = capacity_frames
-        self.written = 0
-        self.read = 0
+        self.written = self.read = 0
 
     @property
     def room(self) -> int:
@@ -148,8 +147,7 @@ class Track:
         # Only the mixer's thread sets the following attributes.
         self.mixed_state = TrackState.IDLE
         self.disabled = False
-        self.underrun_frames = 0
-        self.underruns = 0
+        self.underruns = self.underrun_frames = 0
 
     @property
     def state(self) -> TrackState:

@@ -14,6 +14,17 @@ INPUT, OUTPUT, CONTROL, AUDIO = 1, 2, 4, 8
 TOGGLED = 0x4
 OF_THE_DAEMON = "haptic_cushion_daemon"
 
+DESCRIPTION = "haptic_cushion.ttl"
+PREFIX = "urn:haptic-cushion:"
+LATENCY = "latency"
+_PREFIXES = """\
+@prefix doap:  <http://usefulinc.com/ns/doap#> .
+@prefix lv2:   <http://lv2plug.in/ns/lv2core#> .
+@prefix rdfs:  <http://www.w3.org/2000/01/rdf-schema#> .
+@prefix units: <http://lv2plug.in/ns/extensions/units#> .
+"""
+_UNITS = {"dB": "units:db", "ms": "units:ms", "dBFS": "units:db"}
+
 
 class _Range(ctypes.Structure):
     _fields_ = (("hint", ctypes.c_int), ("lower", ctypes.c_float), ("upper", ctypes.c_float))
@@ -77,20 +88,6 @@ def public_variants(plugin: Path) -> tuple[PluginVariant, ...]:
             ports.append(Port(name, kind, bool(limits.hint & TOGGLED), limits.lower, limits.upper))
         variants.append(PluginVariant(shown.label.decode(), shown.name.decode(), tuple(ports)))
     return tuple(variant for variant in variants if variant.label != OF_THE_DAEMON)
-
-
-DESCRIPTION = "haptic_cushion.ttl"
-PREFIX = "urn:haptic-cushion:"
-LATENCY = "latency"
-
-_PREFIXES = """\
-@prefix doap:  <http://usefulinc.com/ns/doap#> .
-@prefix lv2:   <http://lv2plug.in/ns/lv2core#> .
-@prefix rdfs:  <http://www.w3.org/2000/01/rdf-schema#> .
-@prefix units: <http://lv2plug.in/ns/extensions/units#> .
-"""
-
-_UNITS = {"dB": "units:db", "ms": "units:ms", "dBFS": "units:db"}
 
 
 def manifest(variants: Sequence[PluginVariant], marker: str) -> str:

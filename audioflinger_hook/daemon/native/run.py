@@ -42,8 +42,7 @@ class NativeRun:
         self._config, self._folder, self._states = config, folder, states
         self._on_change, self._restore = on_change, restore
         self._designs = DriveDesigns()
-        self._played_s = -QUIET_S
-        self._offset_s = 0.0
+        self._played_s, self._offset_s = -QUIET_S, 0.0
         self._volume_of: tuple[PulseConnection, int] | None = None
         self._has_monitor = True
         self.engine: NativeEngine | None = None
