@@ -51,13 +51,8 @@ def run(options: argparse.Namespace) -> int:
     }
     if options.json:
         print(json.dumps(document, indent=2))
-        return 0
-    # The full name of each device is on a separate line, for copying.
-    if document["server"]:
-        _section(document["server"], map(_sink_lines, document["sinks"]))
-    _section("USB", map(_usb_lines, document["usb"]))
-    _section("sound cards", map(_card_lines, document["cards"]))
-    _section("playing", map(_application_lines, document["applications"]))
+    else:
+        _show(document)
     return 0
 
 
@@ -128,6 +123,15 @@ def _server(snapshot: ServerSnapshot | None) -> dict[str, Any]:
             if is_application(stream)
         ],
     }
+
+
+def _show(document: dict[str, Any]) -> None:
+    """Print the lists. The full name of each device is on a separate line, for copying."""
+    if document["server"]:
+        _section(document["server"], map(_sink_lines, document["sinks"]))
+    _section("USB", map(_usb_lines, document["usb"]))
+    _section("sound cards", map(_card_lines, document["cards"]))
+    _section("playing", map(_application_lines, document["applications"]))
 
 
 def _section(title: str, blocks: Iterable[list[str]]) -> None:

@@ -94,8 +94,7 @@ class Engine:
         self.mute = SoftFade(output_samplerate)
         self.live: LiveMemory | None = None
         self.filled_s = -math.inf
-        self.faded = True
-        self.last_sound_s = now_s
+        self.faded, self.last_sound_s = True, now_s
         self._drive_output = _DriveOutput(self)
         self._chain = Pipeline(client, self.framework, [self._drive_output])
         if on_mix is not None:

@@ -31,9 +31,8 @@ class PcmFormat(Enum):
         """Create a member of the enumeration."""
         member = object.__new__(cls)
         member._value_ = name
-        member.bytes_per_sample = bytes_per_sample
+        member.bytes_per_sample, member.full_scale = bytes_per_sample, full_scale
         member.dtype = np.dtype(dtype)
-        member.full_scale = full_scale
         return member
 
 

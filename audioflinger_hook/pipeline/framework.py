@@ -52,8 +52,7 @@ class Framework:
         clock: Callable[[], float] | None = None,
         standby_delay_s: float = math.inf,
     ) -> None:
-        self.settings = settings or Settings()
-        self.samplerate = samplerate
+        self.settings, self.samplerate = settings or Settings(), samplerate
         self.warnings: list[str] = []
         each = self.settings.channels == "each"
         self.haptic_channels = channels if each else max(1, len(self.settings.sources))

@@ -86,7 +86,6 @@ class StatusServer:
 
     read: returns the status. The server's threads call it; an exception becomes an error answer.
     live: answers `watch` and `control`; None refuses these requests.
-
     clock: returns seconds. UsageError: another daemon listens, or the socket's name is in use by
     another user or file. InternalError: the socket cannot be created.
     """

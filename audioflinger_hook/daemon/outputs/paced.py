@@ -119,9 +119,8 @@ class _Writer:
 
     def __init__(self, output: VibrationOutput, recording: RunRecording | None) -> None:
         self.error: Exception | None = None
-        self.output = output
+        self.output, self._recording = output, recording
         self.fill: Fill
-        self._recording = recording
         self._written = FrameTime()
         self._block = np.zeros((BLOCK_FRAMES, output.channels), np.float32)
 
