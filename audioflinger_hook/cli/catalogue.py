@@ -113,8 +113,7 @@ def _work(job: _Job, total: int, options: argparse.Namespace) -> int:
         place = stack.enter_context(_place(options, total))
         failures = stack.enter_context(Failures())
         page = stack.enter_context(Page()) if options.report else None
-        progress = stack.enter_context(progress_bar(counted(total, "items")))
-        console = _Console(total, progress)
+        console = _Console(total, stack.enter_context(progress_bar(counted(total, "items"))))
         try:
             for batch in Run(job.recipe, job.items(), place, job.timing).outcomes():
                 for outcome in batch:

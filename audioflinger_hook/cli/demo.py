@@ -157,14 +157,12 @@ def _picture(played: Played, values: Mapping[str, str]) -> bytes:
             strength = min(1.0, max(0.0, 1.0 - level_db / FAINTEST_DB))
             middle_s = unit.start_s + settings.parameters.window_s / 2
             principals.append((middle_s, p.audio_hz, p.vibration_hz, strength))
-    vibration = np.concatenate(played.vibration)[latency : latency + frames]
-    acceleration = np.concatenate(played.acceleration)[:frames]
     return report_png(
         title="Haptic Cushion: sound and vibration",
         samplerate=scene.samplerate,
         audio=sound,
-        vibration=vibration[:, 0],
-        acceleration_m_s2=acceleration[:, 0],
+        vibration=np.concatenate(played.vibration)[latency : latency + frames, 0],
+        acceleration_m_s2=np.concatenate(played.acceleration)[:frames, 0],
         principals=principals,
         events=scene.events(),
         facts=(
@@ -206,8 +204,7 @@ def _print_table(out: Path, played: Played, values: Mapping[str, str], drawn: bo
         "report.png": "all of it as a picture" if drawn else "not drawn",
     }
     for name, what in written.items():
-        path = "" if what == "not drawn" else escape(str(out / name))
-        table.add_row(f"{name}: {what}", path)
+        table.add_row(f"{name}: {what}", "" if what == "not drawn" else escape(str(out / name)))
     LineConsole().print(table)
 
 

@@ -147,8 +147,7 @@ def _section(title: str, blocks: Iterable[list[str]]) -> None:
 def _sink_lines(sink: dict[str, Any]) -> list[str]:
     what = f"{sink['description']}, {sink['samplerate']} Hz, {sink['channels']} channels"
     facts = (what, "the default" if sink["default"] else "", sink["weakened"])
-    lines = [sink["device"], ", ".join(filter(None, facts)), sink["advice"]]
-    return list(filter(None, lines))
+    return [*filter(None, (sink["device"], ", ".join(filter(None, facts)), sink["advice"]))]
 
 
 def _usb_lines(device: dict[str, Any]) -> list[str]:

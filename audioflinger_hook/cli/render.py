@@ -10,13 +10,7 @@ from audioflinger_hook.cli.arguments import given_values
 from audioflinger_hook.cli.terminal import complain, level_text, progress_bar, warn
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.offline.batch import (
-    WORKERS_MAX,
-    Rendered,
-    render_files,
-    targets_in,
-    usable_cores,
-)
+from audioflinger_hook.offline import batch
 from audioflinger_hook.offline.render import RenderReport, render_file
 from device.errors import UsageError
 from device.rig.model_record import in_words
@@ -46,12 +40,12 @@ def _run_several(options: argparse.Namespace, workers: int) -> int:
         raise UsageError(f"the following arguments are required: IN; {SEE_HELP}")
     if options.acceleration is not None:
         raise UsageError("--acceleration names one file; render one by one with it: IN OUT")
-    targets = targets_in(options.out_dir, options.files)
+    targets = batch.targets_in(options.out_dir, options.files)
     settings = chosen_settings(options)
-    came: list[Rendered] = []
+    came: list[batch.Rendered] = []
     warned: set[str] = set()
     with progress_bar(f"{len(targets)} files") as progress:
-        for rendered in render_files(
+        for rendered in batch.render_files(
             options.files, targets, settings, workers, lambda share: progress(share, 1.0)
         ):
             came.append(rendered)
@@ -69,7 +63,7 @@ def _run_several(options: argparse.Namespace, workers: int) -> int:
     return max(rendered.exit_code for rendered in came)
 
 
-def _entry(rendered: Rendered) -> dict[str, object]:
+def _entry(rendered: batch.Rendered) -> dict[str, object]:
     head = {"input": str(rendered.source), "output": str(rendered.target)}
     if rendered.report is None:
         return {**head, "error": rendered.error, "exit_code": rendered.exit_code}
@@ -97,9 +91,9 @@ def _check_files(files: list[Path]) -> None:
 def chosen_workers(wanted: int | None) -> int:
     """Return `wanted`, or the number of usable cores for None. UsageError: it is out of range."""
     if wanted is None:
-        return usable_cores()
-    if not 1 <= wanted <= WORKERS_MAX:
-        raise UsageError(f"--workers={wanted} is out of range; allowed: 1 to {WORKERS_MAX}")
+        return batch.usable_cores()
+    if not 1 <= wanted <= batch.WORKERS_MAX:
+        raise UsageError(f"--workers={wanted} is out of range; allowed: 1 to {batch.WORKERS_MAX}")
     return wanted
 
 

@@ -76,8 +76,7 @@ class RunReporter:
         """Draw the level meter in the terminal's last line, at most once per METER_S."""
         if self._has_meter and now_s - self._drawn_s >= METER_S:
             self._drawn_s = now_s
-            width = shutil.get_terminal_size().columns - 1
-            self._write(meter_line(status(), width))
+            self._write(meter_line(status(), shutil.get_terminal_size().columns - 1))
 
     def reload(self, follow_config: Callable[[], str], now_s: float) -> str:
         """Reload the config and print the changes. Return the message of an error, or ""."""

@@ -18,6 +18,8 @@ from rich.console import Console
 from device.errors import CushionError
 from device.units import amplitude_to_db
 
+CHECK_S = 0.1  # time between two calls of `meanwhile`
+
 
 def warn(message: str) -> None:
     """Print a one-line warning on stderr."""
@@ -78,9 +80,6 @@ def progress_bar(label: str) -> Iterator[Advance]:
             bar.update(task, completed=done, total=total, description=text)
 
         yield advance
-
-
-CHECK_S = 0.1
 
 
 def choose(

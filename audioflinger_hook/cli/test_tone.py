@@ -118,9 +118,8 @@ def open_tone(
     """Open a device for a tone of `hz`; close the device at exit.
 
     actuators: their channels play the tone; if empty, the known coil channels, else all channels.
-    NotFoundError: there is no such device, or it is in use.
-    UsageError: the device lacks a channel of `actuators`.
-    LostError: the device or the server does not answer.
+    NotFoundError: there is no such device, or it is in use. UsageError: the device lacks a channel
+    of `actuators`. LostError: the device or the server does not answer.
     """
     with ExitStack() as stack:
         sink = None if device.kind == "hw" else device.sink(connection.latest)

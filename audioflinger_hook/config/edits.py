@@ -22,6 +22,11 @@ Edits = Mapping[str, Any]
 RULE = f"{APPLICATION}:"
 UNDO_MAX = 100  # largest number of changes that can be undone
 
+HEAD = """\
+# Settings of Haptic Cushion. `cushion check` finds mistakes. A key behind `#` has its default.
+# A running daemon reads this again after: systemctl --user reload cushion
+"""
+
 EDITABLE = {  # keys that may be changed while the daemon runs
     f"{key.section}.{key.name}" if key.section else key.name: key
     for key in KEYS
@@ -127,12 +132,6 @@ def edited_text(text: str, edits: Edits) -> str:
     if tomllib.loads(changed) != expected:
         raise InternalError("the config file would not hold the changes; edit it by hand")
     return changed
-
-
-HEAD = """\
-# Settings of Haptic Cushion. `cushion check` finds mistakes. A key behind `#` has its default.
-# A running daemon reads this again after: systemctl --user reload cushion
-"""
 
 
 def commented_text(edits: Edits, channels: tuple[str, ...] = ()) -> str:

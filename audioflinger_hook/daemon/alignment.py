@@ -15,8 +15,6 @@ from device.clock.delay_control import PLAYING
 from device.server import PulseConnection
 from device.server.snapshot import Source
 
-NOTHING = Declared()
-
 
 class Alignment:
     """Follows the pair of sinks and their delays while the daemon runs. For the main thread.
@@ -87,11 +85,10 @@ class Alignment:
             self._seen = None
             self._declared.close()
         elif own_s is not None and (plays or self._seen is None):  # idle sinks may declare nothing
-            forwards = self._config.live.drop_in
             self._seen = self._declared.read(
-                pair, connection, watch, cycle, now_s, forwards=forwards
+                pair, connection, watch, cycle, now_s, forwards=self._config.live.drop_in
             )
-        self.offset.update(pair, self._seen or NOTHING, own_s, now_s)
+        self.offset.update(pair, self._seen or Declared(), own_s, now_s)
         self._engines.set_offset(self.offset.vibration_s)
         self._drop_in.set_delay(self.offset.sound_s)
 

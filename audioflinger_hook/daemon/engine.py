@@ -23,6 +23,7 @@ READ_BLOCKS = 4  # largest number of blocks that one call reads from the delay l
 FADED = 1e-6  # vibration with a smaller peak counts as silent; full scale is 1
 
 FADE_S = 0.04  # duration of a fade, as in the plugin
+CAPACITY_S = 3.0  # length of the delay line, which suffices for an offset of 2 s
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,6 @@ class Clocks:
     used_s: Callable[[], float]
     slept_s: Callable[[], float] = float
 
-
-CAPACITY_S = 3.0  # length of the delay line, which suffices for an offset of 2 s
 
 # Called with (mixed sound, vibration before the drive, time in s) of one cycle.
 OnStep = Callable[[Float32Array, Float32Array, float], None]
@@ -73,12 +72,9 @@ class Engine:
         on_step: OnStep | None = None,
         on_mix: OnMix | None = None,
     ) -> None:
-        self._client = client
-        self._clocks = clocks
-        self._on_step = on_step
+        self._client, self._clocks, self._on_step = client, clocks, on_step
         self.block_frames = block_frames
-        self.samplerate = client.samplerate
-        self.channels = client.channels
+        self.samplerate, self.channels = client.samplerate, client.channels
         self.framework = Framework(
             self.samplerate,
             self.channels,
@@ -99,8 +95,7 @@ class Engine:
         self.mute = SoftFade(output_samplerate)
         self.live: LiveMemory | None = None
         self.filled_s = -math.inf
-        self.faded = True
-        self.last_sound_s = now_s
+        self.faded, self.last_sound_s = True, now_s
         self._drive_output = _DriveOutput(self)
         self._chain = Pipeline(client, self.framework, [self._drive_output])
         if on_mix is not None:
@@ -126,8 +121,7 @@ class Engine:
         During this call, `fill` must not run, nor `advance` if the block length changes.
         """
         blocks = block_frames or self.block_frames
-        rate = round(self.delay_line.samplerate_out)
-        if (samplerate, blocks) != (rate, self.block_frames):
+        if (samplerate, blocks) != (round(self.delay_line.samplerate_out), self.block_frames):
             self.block_frames = blocks
             self.delay_line = self._line(samplerate, self.delay_line.offset_s)
             self._drop_ahead()
@@ -267,8 +261,7 @@ class _DriveOutput:
         self.now_s = 0.0
         self.earlier: Sequence[tuple[float, int]] = ()
         self.held: list[Float32Array] | None = None
-        self.samplerate = engine.samplerate
-        self.channels = engine.framework.haptic_channels
+        self.samplerate, self.channels = engine.samplerate, engine.framework.haptic_channels
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
         engine = self._engine

@@ -253,10 +253,11 @@ class LiveControl:
     def _tell(self) -> None:
         """Set `settings` to a new object, by which the status server detects the change."""
         config, filed = self._config, self._edits.unsaved()
+        owners = {Settings: config.settings, LiveSettings: config.live}
         self._level = 0.0 if config.muted else db_to_amplitude(config.settings.gain_db)
         self.settings = {
             "keys": [
-                _shown(name, key, self._owner_of(key))
+                _shown(name, key, owners.get(key.owner, config.settings.parameters))
                 | {"unsaved": name in filed, "file": filed.get(name)}
                 for name, key in EDITABLE.items()
             ],
@@ -268,10 +269,6 @@ class LiveControl:
             "tone": self._tone is not None,
             "recording": config.recording is not None,
         }
-
-    def _owner_of(self, key: Key) -> Described:
-        owners = {Settings: self._config.settings, LiveSettings: self._config.live}
-        return owners.get(key.owner, self._config.settings.parameters)
 
 
 class _Refused(UsageError):

@@ -44,8 +44,7 @@ class MixBuffer:
 
     def __init__(self, frames: int, channels: int, haptic_channels: int = 0) -> None:
         self._memory = np.zeros(frames * (channels + haptic_channels), np.float32)
-        self._channels = channels
-        self._haptic_channels = haptic_channels
+        self._channels, self._haptic_channels = channels, haptic_channels
         self.hold(frames)
 
     @classmethod

@@ -9,15 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from audioflinger_hook.mixer.mix_buffer import (
-    DEVICE,
-    OUTPUT_MIX,
-    OUTPUT_STAGE,
-    EffectsPort,
-    MixBuffer,
-    Sink,
-    normal_buffer_frames,
-)
+from audioflinger_hook.mixer import mix_buffer
 from audioflinger_hook.mixer.pcm import PcmFormat
 from audioflinger_hook.mixer.track import SAMPLERATES, Request, Track, out_of_range
 from audioflinger_hook.mixer.track_mixer import Lane, Readiness
@@ -42,17 +34,16 @@ class MixerState(Enum):
 class CycleReport(NamedTuple):
     """Report of one cycle.
 
-    state: state of the mixer after the cycle. frames_written: 0 in standby.
-    tracks_mixed: number of mixed tracks.
-    underruns: number of playing tracks that had too few frames.
-    buffer: the written samples, or silence in standby; the next cycle overwrites the buffer.
+    state: state of the mixer after the cycle. frames_written: 0 in standby. tracks_mixed: number of
+    mixed tracks. underruns: number of playing tracks that had too few frames. buffer: the written
+    samples, or silence in standby; the next cycle overwrites the buffer.
     """
 
     state: MixerState
     frames_written: int
     tracks_mixed: int
     underruns: int
-    buffer: MixBuffer
+    buffer: mix_buffer.MixBuffer
 
 
 class Mixer:
@@ -77,8 +68,8 @@ class Mixer:
         *,
         hal_frames: int = 240,
         haptic_channels: int = 0,
-        sinks: Sequence[Sink] = (),
-        effects: EffectsPort | None = None,
+        sinks: Sequence[mix_buffer.Sink] = (),
+        effects: mix_buffer.EffectsPort | None = None,
         standby_delay_s: float = STANDBY_DELAY_S,
     ) -> None:
         wrong = [
@@ -90,12 +81,11 @@ class Mixer:
         if wrong:
             raise UsageError(f"the mix cannot have {'; '.join(wrong)}")
         self.samplerate, self.channels = samplerate, channels
-        self.haptic_channels = haptic_channels
-        self.hal_frames = hal_frames
-        self.frames = normal_buffer_frames(samplerate, hal_frames)
-        self.buffer = MixBuffer(self.frames, channels, haptic_channels)
+        self.haptic_channels, self.hal_frames = haptic_channels, hal_frames
+        self.frames = mix_buffer.normal_buffer_frames(samplerate, hal_frames)
+        self.buffer = mix_buffer.MixBuffer(self.frames, channels, haptic_channels)
         self.sinks = tuple(sinks)
-        self.effects: EffectsPort = effects or EffectsPort()
+        self.effects: mix_buffer.EffectsPort = effects or mix_buffer.EffectsPort()
         self.on_mix: Callable[[Float32Array], None] | None = None
         self._events: deque[Callable[[], None]] = deque()
         self._lanes: tuple[Lane, ...] = ()
@@ -244,7 +234,7 @@ class Mixer:
     def _follow_sessions(self) -> None:
         """Give each player session with an effect chain its own mix; delete other session mixes."""
         self._chains = frozenset(self.effects.sessions())
-        players = {session for session in self._chains if session > OUTPUT_MIX}
+        players = {session for session in self._chains if session > mix_buffer.OUTPUT_MIX}
         if players != self._sessions.keys():
             self._sessions = {
                 session: self._sessions.get(session)
@@ -268,7 +258,7 @@ class Mixer:
             buffer.audio[...] = 0.0
         if self.on_mix is not None:
             self.on_mix(buffer.audio)
-        for session in (OUTPUT_MIX, OUTPUT_STAGE, DEVICE):
+        for session in (mix_buffer.OUTPUT_MIX, mix_buffer.OUTPUT_STAGE, mix_buffer.DEVICE):
             if session in self._chains:
                 self.effects.process(session, buffer, now_s)
 
@@ -277,10 +267,9 @@ class SessionMix:
     """Mix of the tracks of one player session, for the session's own effects."""
 
     def __init__(self, samplerate: int, frames: int, channels: int, haptic_channels: int) -> None:
-        self.buffer = MixBuffer(frames, channels, haptic_channels)
+        self.buffer = mix_buffer.MixBuffer(frames, channels, haptic_channels)
         self._tail_whole = round(TAIL_S * samplerate)
-        self._tail_left = 0
-        self._empty = True
+        self._tail_left, self._empty = 0, True
 
     def add(self, lane: Lane, scratch: Float32Array) -> None:
         """Add a track for which `Lane.prepare` has returned READY."""

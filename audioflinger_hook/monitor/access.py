@@ -32,8 +32,6 @@ DEFAULT = "127.0.0.1:8765"
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 WILDCARDS = ("0.0.0.0", "[::]")
 
-_KEY = re.compile(rb"[0-9a-f]{%d}" % (2 * KEY_BYTES))
-
 
 @dataclass(frozen=True)
 class Listen:
@@ -81,7 +79,8 @@ def load_key(folder: RuntimeFolder) -> str:
             with os.fdopen(fd, "rb") as file:
                 found, known = os.fstat(fd), file.read(100)
             private = found.st_uid == os.geteuid() and stat.S_IMODE(found.st_mode) == 0o600
-            if stat.S_ISREG(found.st_mode) and private and _KEY.fullmatch(known):
+            form = rb"[0-9a-f]{%d}" % (2 * KEY_BYTES)
+            if stat.S_ISREG(found.st_mode) and private and re.fullmatch(form, known):
                 return known.decode()
             os.unlink(KEY_NAME, dir_fd=folder.fd)
         except FileNotFoundError:
@@ -139,8 +138,7 @@ class Access:
         """Return why the Host headers are refused, or "". own_address: the server's IP address."""
         own_address = own_address.removeprefix("::ffff:")  # prefix of IPv4-mapped addresses
         own = f"[{own_address}]" if ":" in own_address else own_address
-        known = self._hosts | {f"{own}:{self._port}"}
-        if len(hosts) == 1 and hosts[0].lower() in known:
+        if len(hosts) == 1 and hosts[0].lower() in self._hosts | {f"{own}:{self._port}"}:
             return ""
         return "the host is not this server; open the address that `cushion monitor` prints"
 

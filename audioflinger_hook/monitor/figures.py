@@ -19,7 +19,7 @@ from audioflinger_hook import __version__
 from audioflinger_hook.monitor.clients import Clients
 from audioflinger_hook.service.figure import Entry, Row, label_of, metrics, table
 from audioflinger_hook.service.json_codec import from_document
-from audioflinger_hook.service.meters import TIME_BOUNDS_S, BufferTimes
+from audioflinger_hook.service.meters import TIME_BOUNDS_S
 from audioflinger_hook.service.status import LatencyBudget, Status, status_rows
 from device.errors import UsageError
 
@@ -36,13 +36,14 @@ def figures_of(document: dict[str, Any]) -> dict[str, Any]:
     try:
         status = from_document(Status, document)
     except UsageError:
-        versions = f"daemon {document['version']}, page {__version__}"
-        text = f"{versions}: restart the older one"
+        text = f"daemon {document['version']}, page {__version__}: restart the older one"
         return {"panels": {"health": [["version", text, "bad", OTHER]], "rig": []}, "parts": []}
     panels: dict[str, list[Any]] = {"health": [], "rig": []}
     for row in status_rows(status):
         if row.panel:
-            panels[row.panel].append([row.label.strip(), _text(row), _tone(row), row.help])
+            tones = {piece.tone for piece in row.pieces}
+            tone = next((tone for tone in TONES if tone in tones), "")
+            panels[row.panel].append([row.label.strip(), _text(row), tone, row.help])
     parts = [
         [label_of(name, known), getattr(status.latency, name), known.help]
         for name, known, _ in table(LatencyBudget)
@@ -56,11 +57,6 @@ def _text(row: Row) -> str:
     if row.panel != "rig":
         return str(row)
     return "".join(text.replace(", ", "\n", text.startswith(", ")) for text, _ in row.parts)
-
-
-def _tone(row: Row) -> str:
-    tones = {piece.tone for piece in row.pieces}
-    return next((tone for tone in TONES if tone in tones), "")
 
 
 def metrics_text(source: Clients) -> bytes:
@@ -90,8 +86,12 @@ class _Collector:
             yield InfoMetricFamily("cushion_build", "Versions of daemon and page.", build)
         if status is not None:
             yield from _families(status)
-            if status.buffer_times.counts:
-                yield _histogram(status.buffer_times)
+            if (times := status.buffer_times).counts:
+                # Only the Python engine measures times: the native engine runs inside PipeWire.
+                bounds = [*map(repr, TIME_BOUNDS_S), "+Inf"]
+                hops = HistogramMetricFamily("cushion_hop_seconds", "Time to compute one buffer.")
+                hops.add_metric([], list(zip(bounds, times.counts, strict=True)), times.busy_s)
+                yield hops
 
 
 def _families(status: Status) -> Iterator[Metric]:
@@ -118,11 +118,3 @@ def _meaning(entry: Entry) -> str:
     is_part = len(entry.path) > 1 and "{" in entry.figure.metric and "{^" not in entry.figure.metric
     text = entry.group.__doc__.partition("\n")[0] if is_part else f"{entry.figure.help}."
     return f"{text[0].upper()}{text[1:]}"
-
-
-def _histogram(times: BufferTimes) -> Metric:
-    # Only the Python engine measures times, since the native engine runs inside PipeWire.
-    bounds = [*map(repr, TIME_BOUNDS_S), "+Inf"]
-    hops = HistogramMetricFamily("cushion_hop_seconds", "Time to compute one buffer.")
-    hops.add_metric([], list(zip(bounds, times.counts, strict=True)), times.busy_s)
-    return hops

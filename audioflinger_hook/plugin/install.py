@@ -106,8 +106,7 @@ def install(places: Places, profile: str, device: str | None, rates_hz: tuple[in
         for folder in (places.data, places.bundle):
             # A host may have mapped the old file, which an atomic replacement does not change.
             write_bytes_atomically(folder / FILE_NAME, content)
-        texts = {"manifest.ttl": manifest, DESCRIPTION: description}
-        for name, made in texts.items():
+        for name, made in (("manifest.ttl", manifest), (DESCRIPTION, description)):
             write_bytes_atomically(places.bundle / name, made(variants, MARKER).encode())
         if device is not None:
             names = {"plugin": json.dumps(str(places.plugin)), "device": json.dumps(device)}

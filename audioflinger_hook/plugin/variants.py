@@ -14,6 +14,17 @@ INPUT, OUTPUT, CONTROL, AUDIO = 1, 2, 4, 8
 TOGGLED = 0x4
 OF_THE_DAEMON = "haptic_cushion_daemon"
 
+DESCRIPTION = "haptic_cushion.ttl"
+PREFIX = "urn:haptic-cushion:"
+LATENCY = "latency"
+_PREFIXES = """\
+@prefix doap:  <http://usefulinc.com/ns/doap#> .
+@prefix lv2:   <http://lv2plug.in/ns/lv2core#> .
+@prefix rdfs:  <http://www.w3.org/2000/01/rdf-schema#> .
+@prefix units: <http://lv2plug.in/ns/extensions/units#> .
+"""
+_UNITS = {"dB": "units:db", "ms": "units:ms", "dBFS": "units:db"}
+
 
 class _Range(ctypes.Structure):
     _fields_ = (("hint", ctypes.c_int), ("lower", ctypes.c_float), ("upper", ctypes.c_float))
@@ -74,24 +85,9 @@ def public_variants(plugin: Path) -> tuple[PluginVariant, ...]:
         for port in range(shown.port_count):
             name, kind = shown.port_names[port].decode(), shown.port_descriptors[port]
             limits = shown.port_ranges[port]
-            toggled = bool(limits.hint & TOGGLED)
-            ports.append(Port(name, kind, toggled, limits.lower, limits.upper))
+            ports.append(Port(name, kind, bool(limits.hint & TOGGLED), limits.lower, limits.upper))
         variants.append(PluginVariant(shown.label.decode(), shown.name.decode(), tuple(ports)))
     return tuple(variant for variant in variants if variant.label != OF_THE_DAEMON)
-
-
-DESCRIPTION = "haptic_cushion.ttl"
-PREFIX = "urn:haptic-cushion:"
-LATENCY = "latency"
-
-_PREFIXES = """\
-@prefix doap:  <http://usefulinc.com/ns/doap#> .
-@prefix lv2:   <http://lv2plug.in/ns/lv2core#> .
-@prefix rdfs:  <http://www.w3.org/2000/01/rdf-schema#> .
-@prefix units: <http://lv2plug.in/ns/extensions/units#> .
-"""
-
-_UNITS = {"dB": "units:db", "ms": "units:ms", "dBFS": "units:db"}
 
 
 def manifest(variants: Sequence[PluginVariant], marker: str) -> str:
@@ -127,10 +123,11 @@ def _plugin(variant: PluginVariant) -> str:
 def _port(index: int, port: Port) -> str:
     direction = "lv2:InputPort" if port.kind & INPUT else "lv2:OutputPort"
     kind = "lv2:AudioPort" if port.kind & AUDIO else "lv2:ControlPort"
+    symbol = re.sub(r"\W+", "_", port.name.partition(" (")[0].lower())  # gain for "Gain (dB)"
     lines = [
         f"a {direction} , {kind}",
         f"lv2:index {index}",
-        f'lv2:symbol "{symbol(port.name)}"',
+        f'lv2:symbol "{symbol}"',
         f'lv2:name "{port.name}"',
     ]
     if port.kind & CONTROL and port.kind & INPUT:
@@ -144,10 +141,4 @@ def _port(index: int, port: Port) -> str:
     unit = re.search(r"\((\w+)\)", port.name)
     if unit:
         lines.append(f"units:unit {_UNITS[unit[1]]}")
-    body = " ;\n        ".join(lines)
-    return f"[\n        {body}\n    ]"
-
-
-def symbol(name: str) -> str:
-    """Return the LV2 symbol for a port's name, such as "gain" for "Gain (dB)"."""
-    return re.sub(r"\W+", "_", name.partition(" (")[0].lower())
+    return "[\n        " + " ;\n        ".join(lines) + "\n    ]"

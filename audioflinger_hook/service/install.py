@@ -17,6 +17,7 @@ from device.errors import UsageError
 
 NAME = "cushion.service"
 MARK = "# Written by `cushion install-service`."  # first words of every unit of this program
+NOTIFY_RELOAD = 253  # first version of systemd with Type=notify-reload
 
 UDEV_PATH = "/etc/udev/rules.d/70-cushion.rules"  # the name must sort before 73-seat-late.rules
 
@@ -75,9 +76,6 @@ PrivateTmp=yes
 [Install]
 WantedBy=default.target
 """)
-
-
-NOTIFY_RELOAD = 253  # first version of systemd with Type=notify-reload
 
 
 def unit_text(command: Sequence[str], state_folder: Path, systemd: int = 0) -> str:

@@ -31,9 +31,8 @@ class RuntimeFolder(contextlib.AbstractContextManager["RuntimeFolder"]):
     If the variable is not set, the path is `/run/user/UID/cushion`. Without `/run/user/UID`, the
     path is `cushion-UID` in the folder for temporary files.
 
-    create: whether to create a missing folder.
-    path: path at the time of opening.
-    fd: file descriptor, which refers to the same folder even after a rename.
+    create: whether to create a missing folder. path: path at the time of opening. fd: file
+    descriptor, which refers to the same folder even after a rename.
 
     UsageError: the variable is not a usable path, or the folder is a link, has another owner, or
     is accessible to other users. NotFoundError: the folder does not exist. InternalError: the disk

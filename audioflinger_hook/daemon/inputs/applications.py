@@ -100,8 +100,7 @@ class ApplicationsInput(Input):
     def __init__(self, config: RunConfig, states: StateKeeper, feed: ApplicationsFeed) -> None:
         super().__init__(_address(config))
         self.retarget(config)
-        self._states = states
-        self._feed = feed
+        self._states, self._feed = states, feed
         self._captures: AppCaptures | None = None
         self._open: dict[int, tuple[AppCapture, Voice]] = {}
         self._backoff = Backoff()

@@ -153,11 +153,6 @@ class Chain:
         return self.wanted.plan
 
     @property
-    def rigs(self) -> tuple[DrivenRig | None, ...]:
-        """The rigs that the core drives now."""
-        return self.design.rigs
-
-    @property
     def is_changing(self) -> bool:
         """Whether the plugin has not yet changed to the wanted design."""
         return self.design is not self.wanted
@@ -171,11 +166,9 @@ class Chain:
         try:
             self.wanted = self._prepared(plan, drives, self.design.number + 1)
             self.page.layout.wanted = self.wanted.number
-            file = os.open(self._files["changes"], os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-            try:
-                os.write(file, b"\0")
-            finally:
-                os.close(file)
+            flags = os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC
+            with os.fdopen(os.open(self._files["changes"], flags), "wb", 0) as file:
+                os.write(file.fileno(), b"\0")
         except OSError:  # the plugin does not listen, or the disk is full
             self._refuse()
 

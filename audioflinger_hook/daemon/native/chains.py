@@ -165,8 +165,7 @@ class Chains:
                 running.note_frames(now_s, is_fed=is_fed)
                 # A current chain that has played is not closed here; `make` replaces this chain.
                 is_refused = not running.frames and running.chain.complaint
-                has_failed = running is self.following or is_refused
-                if has_failed and running.stands_s(now_s) > STUCK_S:
+                if running.stands_s(now_s) > STUCK_S and (running is self.following or is_refused):
                     raise LostError(
                         "the native engine processes nothing although sound plays"
                         f"{running.chain.last_words()}"
@@ -306,6 +305,5 @@ class Chains:
             for slot in range(len(plan.actuators)):
                 page.set_actuator(slot, level, offset_s * plan.samplerate, holds=holds)
         for slot, actuator in enumerate(settings.actuators[: len(plan.actuators)]):
-            delay_s = offset_s + 1e-3 * actuator.delay_ms
-            delay_frames = delay_s * plan.samplerate
+            delay_frames = (offset_s + 1e-3 * actuator.delay_ms) * plan.samplerate
             page.set_actuator(slot, level * actuator.factor, delay_frames, holds=holds)

@@ -142,8 +142,7 @@ def channels_of(position: str, positions: tuple[str, ...]) -> tuple[int, ...]:
 
 def port_names(channel_map: str, channels: int) -> tuple[str, ...]:
     """Return endings of port names, such as FL for "front-left"; AUX0, AUX1, ... if unknown."""
-    positions = channel_map.split(",") if channel_map else []
-    names = tuple(map(_port_name, positions))
+    names = tuple(map(_port_name, channel_map.split(",") if channel_map else ()))
     if len(names) == channels and len(set(names)) == channels:
         return names
     return tuple(f"AUX{channel}" for channel in range(channels))
