@@ -71,8 +71,8 @@ def unexpected(error: Exception) -> CushionError:
         )
     if isinstance(error, MemoryError) or _NO_MEMORY.search(said):
         soft, _ = resource.getrlimit(resource.RLIMIT_AS)
-        limit = f"allowed are {soft >> 20} MB (ulimit -v): raise" if soft > 0 else "extend"
-        return InternalError(f"no memory is left ({type(error).__name__}); {limit} the memory")
+        limit = f"raise the limit of {soft >> 20} MB (ulimit -v)" if soft > 0 else "add memory"
+        return InternalError(f"no memory is left ({type(error).__name__}); {limit}")
     return InternalError(f"{said}; this is a fault of cushion, please report it")
 
 

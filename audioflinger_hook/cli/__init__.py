@@ -36,7 +36,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         signal.signal(signal.SIGHUP, _interrupt)
     _prepare_streams()
     try:
-        _check_memory()
         code = _run(arguments)
         sys.stdout.flush()
         return code
@@ -74,6 +73,7 @@ def _run(arguments: Sequence[str]) -> int:
         parser.print_help()
         print(f"\n{NEXT}")
         return 0
+    _check_memory()
     # Import only the module of this command, because some imports are slow.
     module = import_module(f"audioflinger_hook.cli.{options.command.replace('-', '_')}")
     return int(module.run(options))
