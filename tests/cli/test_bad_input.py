@@ -17,18 +17,8 @@ import soundfile
 
 from audioflinger_hook.offline.render import render_file
 from device.errors import WriteError
-from tests.support.commands import (
-    RATE,
-    call,
-    cushion,
-    listing,
-    noise,
-    open_files,
-    refused,
-    sound,
-    vibration,
-    without_a_reader,
-)
+from tests.support import commands
+from tests.support.commands import RATE, call, cushion, noise, open_files, refused, sound, vibration
 
 HEADER_BYTES = 44  # of a PCM_16 WAV file as libsndfile writes it
 
@@ -57,7 +47,7 @@ def refusal(command, path, out):
     """The error of a reader that refuses a file and leaves the older output alone."""
     error = refused(read_by(command, path, out))
     assert str(path) in error
-    assert listing(out.parent) == {out.name: b"old"}
+    assert commands.listing(out.parent) == {out.name: b"old"}
     return error
 
 
@@ -201,7 +191,7 @@ def test_a_config_that_may_not_be_read_is_refused(nobodys):
 
 
 def test_an_output_that_is_the_input_is_refused_however_it_is_named(source, tmp_path, monkeypatch):
-    before = listing(tmp_path)
+    before = commands.listing(tmp_path)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder").mkdir()
     Path("link.wav").symlink_to(source)
@@ -210,11 +200,11 @@ def test_an_output_that_is_the_input_is_refused_however_it_is_named(source, tmp_
         assert "name two files" in error
         refused(call("render", source, "out.wav", "--acceleration", name))
         refused(call("render", name, source))
-        assert listing(tmp_path) == before | {"link.wav": before["in.wav"]}
+        assert commands.listing(tmp_path) == before | {"link.wav": before["in.wav"]}
     for name in ("out.wav", "folder/../out.wav"):
         error = refused(call("render", source, "out.wav", "--acceleration", name))
         assert re.search("the vibration.*the acceleration|the acceleration.*the vibration", error)
-    assert listing(tmp_path) == before | {"link.wav": before["in.wav"]}
+    assert commands.listing(tmp_path) == before | {"link.wav": before["in.wav"]}
 
 
 def test_a_full_disk_is_a_write_error_and_leaves_everything_as_it_was(tmp_path, small_disk, out):
@@ -224,8 +214,8 @@ def test_a_full_disk_is_a_write_error_and_leaves_everything_as_it_was(tmp_path, 
     for options in ([path], [out, "--acceleration", path], [path, "--acceleration", out]):
         error = refused(call("render", source, *options), 5)
         assert f"cannot write {path}: the disk is full" in error
-        assert listing(small_disk) == {path.name: b"old"}
-        assert listing(out.parent) == {out.name: b"old"}
+        assert commands.listing(small_disk) == {path.name: b"old"}
+        assert commands.listing(out.parent) == {out.name: b"old"}
 
 
 def test_an_acceleration_that_cannot_be_finished_leaves_the_older_vibration(tmp_path, source, out):
@@ -238,7 +228,7 @@ def test_an_acceleration_that_cannot_be_finished_leaves_the_older_vibration(tmp_
 
     with pytest.raises(WriteError, match=r"felt\.wav"):
         render_file(source, out, acceleration=folder / "felt.wav", progress=vanish)
-    assert listing(out.parent) == {out.name: b"old"}
+    assert commands.listing(out.parent) == {out.name: b"old"}
 
 
 @pytest.mark.exhaustive
@@ -261,7 +251,7 @@ def test_a_stream_that_is_closed_keeps_nobody_from_rendering(source, out, number
 @pytest.mark.sweep
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["render", "--help"]])
 def test_a_reader_that_has_gone_is_no_error(arguments):
-    done = without_a_reader(*arguments)
+    done = commands.without_a_reader(*arguments)
     assert (done.code, done.stderr) == (0, "")
 
 
@@ -302,7 +292,7 @@ def test_the_rule_for_usb_devices_needs_no_device(tmp_path, monkeypatch):
     done = call("install-service", "--udev")
     assert (done.code, done.stderr) == (0, "")
     assert "70-cushion.rules" in done.stdout
-    assert listing(tmp_path) == {}
+    assert commands.listing(tmp_path) == {}
 
 
 def test_an_error_is_one_line_whatever_its_words_hold(tmp_path, out):
