@@ -3,6 +3,7 @@
 import math
 import sys
 import threading
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,14 +32,8 @@ class Live:
         self.mixed: list[Float32Array] = []
         self.felt: list[Float32Array] = []
         self.played: list[Float32Array] = []
-        self.engine = Engine(
-            feed.client(RATE_HZ, 2),
-            RATE_HZ,
-            settings,
-            clocks=STILL,
-            block_frames=BLOCK,
-            on_step=self._stepped,
-        )
+        told: Any = {"clocks": STILL, "block_frames": BLOCK, "on_step": self._stepped}
+        self.engine = Engine(feed.client(RATE_HZ, 2), RATE_HZ, settings, **told)
         feed.serve(self.engine)
         feed.opened(RATE_HZ, 2)
 

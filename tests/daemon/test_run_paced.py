@@ -105,11 +105,9 @@ def test_the_profile_is_cinema_unless_one_is_named_and_a_replay_needs_no_name(
 ):
     source, record = sound(tmp_path / "in.wav", noise(RATE // 4)), tmp_path / "rec"
     (tmp_path / "c.toml").write_text(text)
-    named = ("--config", tmp_path / "c.toml") if text else ()
-    done = run(
-        folder, "--tap", f"file:{source}", "--device", "twin", "--record", record, *named, *options
-    )
-    assert done.code == 0
+    named = ("--config", tmp_path / "c.toml", *options) if text else options
+    places = ("--tap", f"file:{source}", "--device", "twin", "--record", record)
+    assert run(folder, *places, *named).code == 0
     settings: Any = settings_from(Capture(record).facts)
     assert (settings.profile, settings.said) == (profile, said)
     assert settings.parameters == parameters_of(profile, dict.fromkeys(said, 5))

@@ -46,14 +46,8 @@ class Settings:
 
     def frame(self, missed: int, *, in_memory: bool) -> tuple[bytes, bool]:
         self.frames += 1
-        frame = {
-            "state": "running",
-            "level": 1.0,
-            "sound": [[0.5, 0.125]] * 2,
-            "vibration": [[0.25, 0.03]],
-            "partials": [[440, 100, 0.5]],
-            "missed": missed,
-        }
+        frame = {"state": "running", "level": 1.0, "sound": [[0.5, 0.125]] * 2}
+        frame |= {"vibration": [[0.25, 0.03]], "partials": [[440, 100, 0.5]], "missed": missed}
         return json.dumps({"frame": frame}).encode() + b"\n", False
 
     def watched_by(self, page: str) -> None:

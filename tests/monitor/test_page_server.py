@@ -63,9 +63,8 @@ def test_without_a_daemon_the_page_says_so_and_finds_the_next_one(tmp_path):
         assert not link["connected"]
         assert "no daemon is running; start one with `cushion run`" in link["text"]
         assert "no daemon is running" in stand_in.ask(live, 1, mute=True)["error"]
-        assert (
-            "cushion_up 0.0" in served.request("/metrics", f"Authorization: Bearer {served.key}")[1]
-        )
+        with_key = f"Authorization: Bearer {served.key}"
+        assert "cushion_up 0.0" in served.request("/metrics", with_key)[1]
         for _ in range(2):
             with daemon_socket(tmp_path):
                 assert message(live, "status")["status"]["state"] == "running"
@@ -255,12 +254,8 @@ def test_promtool_finds_no_fault_with_the_metrics(tmp_path):
     need([] if shutil.which("promtool") else ["promtool"])
     with daemon_socket(tmp_path), page(tmp_path) as served, served.live() as live:
         message(live, "status")
-        checked = subprocess.run(
-            ["promtool", "check", "metrics"],
-            input=metrics_of(served),
-            text=True,
-            capture_output=True,
-        )
+        told: Any = {"input": metrics_of(served), "text": True, "capture_output": True}
+        checked = subprocess.run(["promtool", "check", "metrics"], **told)
     assert (checked.returncode, checked.stderr, checked.stdout) == (0, "", "")
 
 

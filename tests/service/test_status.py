@@ -198,9 +198,8 @@ def test_a_figure_is_read_from_the_first_source_that_has_it_in_its_own_unit():
     counts = SimpleNamespace(ratio_ppm=1.5, resyncs=1, underflows=2, overflows=3, target_s=9.0)
     found = gathered(figures.DelayLineFigures, line, counts)
     assert found.delay_ms == pytest.approx(20.1)
-    assert replace(found, delay_ms=0.0) == figures.DelayLineFigures(
-        20.0, 0.0, 1.5, 1, 2, 3, "locked"
-    )
+    figures_of_line = figures.DelayLineFigures(20.0, 0.0, 1.5, 1, 2, 3, "locked")
+    assert replace(found, delay_ms=0.0) == figures_of_line
     assert gathered(figures.DelayLineFigures, line).overflows == 0
     with pytest.raises(TypeError, match="address"):
         gathered(Endpoint, line)
@@ -284,9 +283,8 @@ def test_a_duration_is_shown_in_its_two_largest_units(time_s, text):
     assert duration(time_s) == text
 
 
-EARLY = LatencyBudget.of(
-    tap_ms=20.0, transform_ms=7.5, delay_line_ms=20.0, output_ms=31.0, offset_ms=-80.0
-)
+TIMES_MS = {"tap_ms": 20.0, "transform_ms": 7.5, "delay_line_ms": 20.0, "output_ms": 31.0}
+EARLY = LatencyBudget.of(**TIMES_MS, offset_ms=-80.0)
 PARTIALS = tuple(Partial(100.0 * n, 20.0 + n, 0.01 * n) for n in range(1, 8))
 
 
@@ -309,22 +307,16 @@ def test_what_is_another_way_than_usual_is_said(changes, said):
 
 
 def test_several_actuators_are_shown_each_with_its_own_figures():
-    left = figures.ActuatorFigures(
-        *("left", ("0", "front-left"), "paper", -3.0, "inverted", 5.0),
-        Level(-12.0, -20.0),
-        STATUS.protection,
-        STATUS.exposure,
-    )
-    mix = figures.ActuatorFigures(
-        "mix", ("1",), "consumer", 0.0, "normal", 0.0, Level(), None, None
-    )
+    made, care = figures.ActuatorFigures, (STATUS.protection, STATUS.exposure)
+    known = "left", ("0", "front-left"), "paper", -3.0, "inverted", 5.0
+    left = made(*known, Level(-12.0, -20.0), *care)
+    mix = made("mix", ("1",), "consumer", 0.0, "normal", 0.0, Level(), None, None)
     parts = ("tap", "transform", "delay_line", "output", "driving", "delay")
     latency = LatencyBudget.of(**{f"{part}_ms": float(n) for n, part in enumerate(parts, 1)})
     lines = status_text(replace(STATUS, actuators=(left, mix), latency=latency), 300).splitlines()
     (first,) = (number for number, line in enumerate(lines) if line.startswith("actuator 1"))
-    assert lines[first].split(maxsplit=2)[2] == (
-        "left on 0, front-left, paper, -3.0 dB, inverted, 5.0 ms later"
-    )
+    words = "left on 0, front-left, paper, -3.0 dB, inverted, 5.0 ms later"
+    assert lines[first].split(maxsplit=2)[2] == words
     assert "peak  -12.0, rms  -20.0 dBFS" in lines[first + 1]
     assert "blocks 5000, limited 12" in lines[first + 2]
     assert "A(8) 0.6" in lines[first + 3]

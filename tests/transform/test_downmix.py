@@ -98,10 +98,8 @@ def test_the_core_mixes_any_number_of_channels_as_its_oracle_does(channels):
 def test_opposite_channels_are_as_strong_as_equal_ones_after_a_tenth_second(form, samplerate, pair):
     sound = joined(tone(300, 0.5, samplerate, 0.3), silence(0.1, samplerate))
     one, other = pair.split()
-    equal, opposite = (
-        played(placed(6, **{one: sound, other: sign * sound}), samplerate, form=form)
-        for sign in (1, -1)
-    )
+    pairs = (placed(6, **{one: sound, other: sign * sound}) for sign in (1, -1))
+    equal, opposite = (played(each, samplerate, form=form) for each in pairs)
     later = slice(round(0.1 * samplerate), round(0.5 * samplerate))
     assert level_db(opposite[later]) == pytest.approx(level_db(equal[later]), abs=1.0)
 

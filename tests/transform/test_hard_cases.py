@@ -129,23 +129,16 @@ def test_denormal_numbers_cost_no_more_than_quiet_noise(form):
 def test_no_filter_state_decays_into_denormal_numbers_however_long_the_silence(samplerate, level):
     # Not every processor is slow with them, so that the time alone proves little.
     band_pass = BandPass(*design_band_pass(PARAMETERS, samplerate))
-    band_pass.process(
-        signals.joined(tone(300, 0.5, samplerate), signals.white_noise(0.1, samplerate))
-    )
+    noise = signals.white_noise(0.1, samplerate)
+    band_pass.process(signals.joined(tone(300, 0.5, samplerate), noise))
     for _ in range(6):
         for numbers in (band_pass.process(np.full(samplerate, level)), band_pass._state):
             size = np.abs(numbers)
             assert not ((size > 0) & (size < np.finfo(np.float64).tiny)).any()
 
 
-UNUSABLE = {
-    "NaN": np.nan,
-    "Inf": np.inf,
-    "-Inf": -np.inf,
-    "1e30": 1e30,
-    "-1e30": -1e30,
-    "just over the limit": np.nextafter(np.float32(1e3), np.float32(2e3)),
-}
+UNUSABLE = {"NaN": np.nan, "Inf": np.inf, "-Inf": -np.inf, "1e30": 1e30, "-1e30": -1e30}
+UNUSABLE["just over the limit"] = np.nextafter(np.float32(1e3), np.float32(2e3))
 
 
 @every_form
@@ -153,9 +146,8 @@ UNUSABLE = {
 @pytest.mark.parametrize("name", UNUSABLE)
 def test_unusable_samples_count_as_zeros_one_by_one_and_spare_their_neighbours(form, dtype, name):
     rng = np.random.default_rng(7)
-    sound = columns(signals.white_noise(0.6, 48_000, 0.5), tone(300, 0.6, 48_000, 0.5)).astype(
-        dtype
-    )
+    noise = signals.white_noise(0.6, 48_000, 0.5)
+    sound = columns(noise, tone(300, 0.6, 48_000, 0.5)).astype(dtype)
     for count in (200, sound.size):
         damaged, cleaned = sound.copy(), sound.copy()
         places = rng.choice(sound.size, count, replace=False)

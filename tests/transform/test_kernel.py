@@ -64,9 +64,8 @@ def swelling(samplerate):
 
 
 def gaps(rate):
-    return joined(
-        *(joined(white_noise(0.1, rate, 0.5, n), silence(0.35 + 0.05 * n, rate)) for n in range(4))
-    )
+    rests = [silence(0.35 + 0.05 * n, rate) for n in range(4)]
+    return joined(*(joined(white_noise(0.1, rate, 0.5, n), rest) for n, rest in enumerate(rests)))
 
 
 def damaged(samplerate):

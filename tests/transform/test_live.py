@@ -102,9 +102,8 @@ def test_sounds_that_start_stop_or_merge_make_no_audible_vibration_and_no_step(s
 
 def test_the_reference_form_does_make_such_steps():
     # So that the measure above is known to see one.
-    vibration = signals.played(signals.chirp(60, 11_000, 1.0, 48_000), 48_000, form="reference")[
-        :, 0
-    ]
+    sweep = signals.chirp(60, 11_000, 1.0, 48_000)
+    vibration = signals.played(sweep, 48_000, form="reference")[:, 0]
     assert steepest(vibration, 48_000) > 3 * np.abs(vibration).max()
 
 

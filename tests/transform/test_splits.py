@@ -137,12 +137,8 @@ def test_asleep_and_awake_again_gives_the_same_bytes_in_any_blocks(form):
     # High, with soft ends: the last windows are heard only for what hops before them held.
     chirrup = signals.tone(5_000, 0.1, samplerate, 0.5) * np.hanning(round(0.1 * samplerate))
     awake = (signals.tone(200, 0.2, samplerate), signals.white_noise(0.01, samplerate), chirrup)
-    sound = signals.joined(
-        nap,
-        *(signals.joined(one, nap) for one in awake),
-        signals.low_noise(0.2, samplerate, 0.03),
-        nap,
-    )
+    awake += (signals.low_noise(0.2, samplerate, 0.03),)
+    sound = signals.joined(nap, *(signals.joined(one, nap) for one in awake))
     expected = signals.played(sound, samplerate, form=form)
     for frames in (97, 689, 690, 691, 20_000):
         cut = signals.in_blocks(sound, every(frames, sound.size), samplerate, form=form)
@@ -165,10 +161,8 @@ def test_what_follows_finish_or_reset_is_a_new_stream(way):
 @every_way
 def test_the_layout_of_a_block_in_memory_changes_nothing(way):
     sound = stereo(48_000, 1.2).astype(np.float32)
-    expected, wide = (
-        signals.played(sound, 48_000, **WAYS[way]),
-        np.zeros((len(sound), 6), np.float32),
-    )
+    expected = signals.played(sound, 48_000, **WAYS[way])
+    wide = np.zeros((len(sound), 6), np.float32)
     wide[:, [1, 4]] = sound
     # float64 holds every float32, so the type alone makes no difference.
     exact, turned = sound.astype(np.float64), sound[::-1].copy()[::-1]

@@ -243,10 +243,8 @@ def test_strength_rig_levels_what_a_resonant_seat_makes_of_tones(rig):
             drive = played(sound, RATE, parameters=settings.transform_parameters)[:, 0]
             moved = LinearActuator(rig.actuator, RATE).move(drive.astype(np.float64))
             # Felt is acceleration by the inverse of its frequency.
-            felt = decibels(
-                np.std(moved.acceleration_m_s2[RATE:]) / mapping.vibration_hz(np.array([hz]))[0]
-            )
-            felt_db.append(float(felt))
+            felt = np.std(moved.acceleration_m_s2[RATE:]) / mapping.vibration_hz(np.array([hz]))
+            felt_db.append(float(decibels(felt[0])))
         spread_db[strength] = np.ptp(felt_db)
     assert spread_db["rig"] < 0.5 * spread_db["felt"], spread_db
 

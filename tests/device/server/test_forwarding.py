@@ -17,13 +17,8 @@ def made(index: int, place: int, device_name: str, module: int, **properties: st
 
 
 def test_sound_cards_are_forwarded_to_first_and_nothing_of_ours_ever():
-    sinks = (
-        sink(1, "virtual"),
-        sink(2, "card", {"device.bus": "pci"}),
-        sink(3, "haptic", {"device.bus": "usb"}),
-        sink(4, SINK),
-        sink(5, FALLBACK_SINK),
-    )
+    cards = sink(2, "card", {"device.bus": "pci"}), sink(3, "haptic", {"device.bus": "usb"})
+    sinks = (sink(1, "virtual"), *cards, sink(4, SINK), sink(5, FALLBACK_SINK))
     for haptic, names in (("haptic", ["card", "virtual"]), (None, ["card", "haptic", "virtual"])):
         assert forwarding.real_sinks(snapshot(sinks=sinks), haptic) == names
 
@@ -58,12 +53,8 @@ def test_a_loopback_reports_its_route_and_whether_it_is_complete():
         ((out,), (), False),
         ((), (tap,), False),
     ):
-        seen = snapshot(
-            sinks=(sink(1, "desktop"), sink(4, SINK)),
-            sources=(monitor(sink(4, SINK)),),
-            sink_inputs=playing,
-            source_outputs=taps,
-        )
+        own, streams = sink(4, SINK), {"sink_inputs": playing, "source_outputs": taps}
+        seen = snapshot(sinks=(sink(1, "desktop"), own), sources=(monitor(own),), **streams)
         (found,) = forwarding.loopbacks(seen)
         assert (found.module, found.route, found.complete) == (7, route, complete)
 

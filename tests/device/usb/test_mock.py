@@ -249,12 +249,9 @@ def test_volume_rate_and_mute_of_a_device_without_a_driver_are_set_and_read_back
     wanted = ("--volume-db", "-20.2", "--samplerate", "48000", "--mute", "on")
     done = cushion(scene, "usb", "set", f"usb:1209:dac{uac}", *wanted, log=log)
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.splitlines() == [
-        "mute of channel 0: on",
-        "samplerate: 48000 Hz",
-        "volume of channel 1: -20.50 dB",
-        "volume of channel 2: -20.50 dB",
-    ]
+    volumes = [f"volume of channel {channel}: -20.50 dB" for channel in (1, 2)]
+    lines = ["mute of channel 0: on", "samplerate: 48000 Hz", *volumes]
+    assert done.stdout.splitlines() == lines
     (asked,) = json.loads(log.read_text()).values()
     sets = [data for request_type, *_, data in asked if request_type in (0x21, 0x22)]
     assert sets == ["01", *(["80bb00"] if uac == 1 else ["80bb0000"]), "80eb", "80eb"]
