@@ -60,16 +60,12 @@ def test_what_is_no_sound_is_refused_with_the_reason(tmp_path, out, capfd, comma
     head = sound(tmp_path / "head.wav", noise(5_000), subtype="PCM_16")
     head.write_bytes(head.read_bytes()[:HEADER_BYTES])
     for name, words in {
-        "none.wav": "does not exist",
-        "dangling.wav": "does not exist",
-        "empty.wav/in.wav": "does not exist",
+        **dict.fromkeys(("none.wav", "dangling.wav", "empty.wav/in.wav"), "does not exist"),
         "empty.wav": "is empty (0 bytes)",
         "": "is a folder",
         "random.mp3": "is not a sound file",
         "head.wav": "has no sound (0 frames)",
-        "circle.wav": "",
-        "x" * 256 + ".wav": "",
-        "d/" * 2_100 + "in.wav": "",
+        **dict.fromkeys(("circle.wav", "x" * 256 + ".wav", "d/" * 2_100 + "in.wav"), ""),
     }.items():
         assert words in refusal(command, tmp_path / name, out)
     for container, subtype in (("WAV", "PCM_16"), ("AIFF", "PCM_24"), ("OGG", "VORBIS")):
@@ -139,8 +135,7 @@ def test_a_place_where_no_file_can_be_is_refused_with_the_reason(source, tmp_pat
         f"{tmp_path}/none/out.wav": f"folder {tmp_path}/none does not exist",
         f"{tmp_path}/file/out.wav": f"{tmp_path}/file is not a folder",
         "folder": "it is a folder; name a file in it",
-        "/dev/full": "it is not a regular file",
-        "/dev/null": "it is not a regular file",
+        **dict.fromkeys(("/dev/full", "/dev/null"), "it is not a regular file"),
         "circle.wav": "circle.wav",
         "-": "name a file",
         "": "",

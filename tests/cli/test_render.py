@@ -229,14 +229,9 @@ def test_damping_is_heard_by_the_rig_in_file_and_acceleration_alike(tmp_path, ou
 
 def test_names_that_do_not_exist_are_answered_together_with_those_that_do(tmp_path, out):
     source = sound(tmp_path / "in.wav", noise(3_000))
-    known = {
-        "transform": "live, reference",
-        "channels": "mono, each",
-        "profile": "paper, cinema, game, music",
-        "damping": "off, auto",
-        "protection": "off, on",
-        "rig": "paper, consumer, or a file, NAME.toml",
-    }
+    known = {"transform": "live, reference", "channels": "mono, each", "damping": "off, auto"}
+    known |= {"profile": "paper, cinema, game, music", "protection": "off, on"}
+    known["rig"] = "paper, consumer, or a file, NAME.toml"
     for names in (*([name] for name in known), ["profile", "damping"]):
         wrong = [word for name in names for word in (f"--{name}", f"Loud {name}")]
         error = commands.refused(call("render", source, out, *wrong))

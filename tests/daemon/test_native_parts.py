@@ -167,12 +167,8 @@ def test_a_gain_rises_in_a_design_with_another_protection_only_once_that_one_pla
     plan = ChainPlan.of(Settings(), Tap("desk", ("FL", "FR"), "desk"), 48_000)
     chain = cast(Any, SimpleNamespace(page=page, design=SimpleNamespace(plan=plan)))
     chains.current = cast(Any, SimpleNamespace(chain=chain))
-    for protection, gain_db, playing_db, next_db in (
-        ("off", -20.0, -20.0, -20.0),
-        ("on", -6.0, -20.0, -6.0),
-        ("on", -40.0, -40.0, -40.0),
-        ("off", -6.0, -6.0, -6.0),
-    ):
+    steps = [("off", -20.0, -20.0, -20.0), ("on", -6.0, -20.0, -6.0), ("on", -40.0, -40.0, -40.0)]
+    for protection, gain_db, playing_db, next_db in (*steps, ("off", -6.0, -6.0, -6.0)):
         rig: Any = {"rig": "consumer", "protection": protection} if protection == "on" else {}
         chains.follow(config(settings=Settings(gain_db=gain_db, **rig)))
         gains = [bank.controls.actuators[0].gain for bank in page.layout.banks]

@@ -241,14 +241,10 @@ def test_a_rule_changes_profile_and_gain_and_nothing_else():
 
 def test_the_status_says_which_rule_acts_and_why_an_application_is_left_out():
     config = config_of(GAME, ApplicationRule(match="radio", feel=False))
-    snapshot = seen(
-        stream(1, "SuperTux"),
-        stream(2, "Radio"),
-        stream(3, "chime", role="event"),
-        stream(4, "Browser"),
-        stream(5, "Player"),
-        recording=[replace(stream(9, "Browser"), device_index=8, device_name="microphone")],
-    )
+    names = {1: "SuperTux", 2: "Radio", 4: "Browser", 5: "Player"}
+    playing = *(stream(*one) for one in names.items()), stream(3, "chime", role="event")
+    microphone = replace(stream(9, "Browser"), device_index=8, device_name="microphone")
+    snapshot = seen(*playing, recording=[microphone])
     shown = applications_in(snapshot, config, SOURCE, "dac", GAME)
     assert {one.name: (one.is_felt, one.rule) for one in shown} == {
         "SuperTux": (True, 'rule "super*"'),

@@ -38,9 +38,7 @@ WRONG_VALUES: dict[object, tuple[object, ...]] = {
     "count": (3.0, 0),
     "mode": ("SOFT",),
     "bright": (1,),
-    "meter": (0.5,),
-    "Level": (0.5,),
-    b"level": (0.5,),
+    **dict.fromkeys(("meter", "Level", b"level"), (0.5,)),
 }
 WRONG_PAIRS = (None, (), ("level",), ("level", 0.5, 0.5), ["level", 0.5], {"level": 0.5})
 TAKE_NONE = (Command.ENABLE, Command.DISABLE, Command.RESET, Command.DUMP, Command.SET_PARAM_COMMIT)

@@ -26,6 +26,7 @@ from audioflinger_hook.service.status import Endpoint, GraphFigures, LatencyBudg
 from device.errors import UsageError
 from tests.support.recordings import ROOT
 
+TIMES_MS = {"tap_ms": 21.3, "transform_ms": 42.7, "delay_line_ms": 20.0, "output_ms": 10.7}
 STATUS = Status(
     version="0.1.0",
     pid=4321,
@@ -35,14 +36,7 @@ STATUS = Status(
     tap=Endpoint("default", "alsa_output.pci-0000_00_1f.3.analog-stereo.monitor"),
     device=Endpoint("sink:Cushion", "alsa_output.usb-Amplifier-00.analog-stereo"),
     levels=figures.Levels(Level(-3.1, -14.2), Level(-18.2, -27.0)),
-    latency=LatencyBudget.of(
-        tap_ms=21.3,
-        transform_ms=42.7,
-        delay_line_ms=20.0,
-        output_ms=10.7,
-        offset_ms=-5.0,
-        driving_ms=4.0,
-    ),
+    latency=LatencyBudget.of(**TIMES_MS, offset_ms=-5.0, driving_ms=4.0),
     offset_ms=-5.0,
     offset_reason="set in the config",
     delay_line=figures.DelayLineFigures(20.0, 20.1, 13.4, 1, 2, 3, "locked"),
@@ -283,8 +277,8 @@ def test_a_duration_is_shown_in_its_two_largest_units(time_s, text):
     assert duration(time_s) == text
 
 
-TIMES_MS = {"tap_ms": 20.0, "transform_ms": 7.5, "delay_line_ms": 20.0, "output_ms": 31.0}
-EARLY = LatencyBudget.of(**TIMES_MS, offset_ms=-80.0)
+EARLY_MS = {"tap_ms": 20.0, "transform_ms": 7.5, "delay_line_ms": 20.0, "output_ms": 31.0}
+EARLY = LatencyBudget.of(**EARLY_MS, offset_ms=-80.0)
 PARTIALS = tuple(Partial(100.0 * n, 20.0 + n, 0.01 * n) for n in range(1, 8))
 
 

@@ -265,13 +265,9 @@ def test_another_user_who_reaches_the_socket_gets_no_answer():
             "import socket, sys; s = socket.socket(socket.AF_UNIX); s.settimeout(10);"
             "s.connect(sys.argv[1]); s.sendall(sys.argv[2].encode()); print(s.recv(9))"
         )
-        done = subprocess.run(
-            ["/usr/bin/env", "python3", "-c", script, str(daemon.folder.path / NAME), ASK.decode()],
-            user=65534,
-            capture_output=True,
-            text=True,
-            timeout=DEADLINE_S,
-        )
+        words = [script, str(daemon.folder.path / NAME), ASK.decode()]
+        told: Any = {"user": 65534, "capture_output": True, "text": True, "timeout": DEADLINE_S}
+        done = subprocess.run(["/usr/bin/env", "python3", "-c", *words], **told)
         daemon.close()
     # EOF, or the end before it could send
     assert "version" not in done.stdout

@@ -201,14 +201,10 @@ def bin_hz(samplerate):
 
 
 def awkward_tones(samplerate):
-    return {
-        "the band's lower edge": 50.0,
-        "60 Hz, on its own image": 60.0,
-        "the band's upper edge": 12_000.0,
-        "exactly on a bin": 94 * bin_hz(samplerate),
-        "exactly between two bins": 94.5 * bin_hz(samplerate),
-        "between bins, low": 20.5 * bin_hz(samplerate),
-    }
+    edges = {"the band's lower edge": 50.0, "the band's upper edge": 12_000.0}
+    bins = {"exactly on a bin": 94.0, "exactly between two bins": 94.5, "between bins, low": 20.5}
+    in_bins = {name: place * bin_hz(samplerate) for name, place in bins.items()}
+    return {**edges, "60 Hz, on its own image": 60.0, **in_bins}
 
 
 @pytest.mark.parametrize("samplerate", [44_100, 48_000])
@@ -305,11 +301,9 @@ def test_every_samplerate_takes_noise_and_sweeps_to_its_very_top(form):
     # Windows and spectra of every parity and size: low rates are where they are small.
     between = (*range(1_000, 2_600, 7), 1_583, 1_600, 3_333, 7_919, 31_337, 88_200)
     for samplerate in (*EXTREME_SAMPLERATES, *between):
-        sound = signals.joined(
-            signals.white_noise(0.3, samplerate),
-            signals.chirp(40, 0.499 * samplerate, 0.4, samplerate, 1.0),
-            signals.one_sample(0.1, samplerate, 0.05),
-        )
+        sweep = signals.chirp(40, 0.499 * samplerate, 0.4, samplerate, 1.0)
+        sound = signals.joined(signals.white_noise(0.3, samplerate), sweep)
+        sound = signals.joined(sound, signals.one_sample(0.1, samplerate, 0.05))
         vibration = played(sound, samplerate, form=form)
         assert np.isfinite(vibration).all(), samplerate
         assert form == "reference" or np.abs(vibration).max() < 1.0, samplerate

@@ -169,19 +169,11 @@ def test_it_agrees_with_every_law_and_mapping(variant, samplerate):
     assert_agree(both[:7_000], samplerate, per_channel=True, parameters=parameters)
 
 
+PIECES = ["tone", "clicks", "tones", "pairs", "noise", "step", "steps", "silence"]
+SHARES, LEVELS = map(st.sampled_from, ([0.5, 1, 2, 4], [0.003, 0.05, 0.3, 1.0, 30.0]))
+PIECE = st.tuples(st.sampled_from(PIECES), st.integers(1, 60), SHARES, LEVELS)
 equals = given(
-    pieces=st.lists(
-        st.tuples(
-            st.sampled_from(
-                ["tone", "clicks", "tones", "pairs", "noise", "step", "steps", "silence"]
-            ),
-            st.integers(1, 60),
-            st.sampled_from([0.5, 1, 2, 4]),
-            st.sampled_from([0.003, 0.05, 0.3, 1.0, 30.0]),
-        ),
-        min_size=1,
-        max_size=5,
-    ),
+    pieces=st.lists(PIECE, min_size=1, max_size=5),
     samplerate=st.sampled_from([1_000, 1_024, 2_000, 8_000, 11_025, 16_000]),
     window_s=st.sampled_from([0.01, 0.02, 0.04643, 0.1, 0.2]),
     partials_max=st.sampled_from([1, 2, 16]),
@@ -191,12 +183,8 @@ equals = given(
 
 
 def agrees_between_equals(pieces, samplerate, window_s, partials_max, threshold_hz, variant):
-    parameters = TransformParameters(
-        window_s=window_s,
-        threshold_hz=threshold_hz,
-        vibration_top_hz=220.0,
-        **({"partials_max": partials_max} | VARIANTS[variant]),
-    )
+    drawn = {"window_s": window_s, "threshold_hz": threshold_hz, "partials_max": partials_max}
+    parameters = TransformParameters(vibration_top_hz=220.0, **(drawn | VARIANTS[variant]))
     window = parameters.window_frames(samplerate)
 
     def piece(kind, number, share, level):

@@ -160,11 +160,9 @@ def test_all_that_is_allowed_works_or_is_refused_as_wrong_usage(
     assume(high >= 2 * low)
     assume(top >= 2 / window_s)
     parameters = TransformParameters(window_s, low, high, top, threshold, partials)
-    sound = signals.joined(
-        signals.white_noise(0.25, samplerate),
-        signals.tone(min(low * 1.1, samplerate / 3), 0.3, samplerate),
-        signals.silence(0.3, samplerate),
-    )
+    steady = signals.tone(min(low * 1.1, samplerate / 3), 0.3, samplerate)
+    noise, pause = signals.white_noise(0.25, samplerate), signals.silence(0.3, samplerate)
+    sound = signals.joined(noise, steady, pause)
     try:
         signals.opened(samplerate, 1, form, parameters=parameters)
     except UsageError as refusal:

@@ -48,23 +48,16 @@ def spectra_of(design, windows):
 @pytest.mark.sweep
 @pytest.mark.parametrize("saving", SAVINGS, ids=lambda saving: saving.name)
 def test_no_saving_changes_more_than_it_states(saving):
-    clicks = np.zeros(24_000)
+    clicks, highest = np.zeros(24_000), signals.tone(11_900, 0.3, 48_000)
     clicks[::1_200] = 1.0
     sounds = [
         # The low-pass rings longest at its edge, to which the top of the band is mapped.
-        signals.joined(
-            signals.tone(11_900, 0.3, 48_000),
-            signals.silence(1.5, 48_000),
-            signals.tone(60, 0.2, 48_000),
-        ),
+        signals.joined(highest, signals.silence(1.5, 48_000), signals.tone(60, 0.2, 48_000)),
         signals.joined(clicks, signals.silence(0.6, 48_000), signals.white_noise(0.5, 48_000)),
         signals.low_noise(0.5, 48_000, 0.02),
-        *(
-            soundfile.read(path)[0]
-            for path in require_recordings()
-            if path.stem in ("Side_Left", "Rear_Center")
-        ),
     ]
+    paths = (one for one in require_recordings() if one.stem in ("Side_Left", "Rear_Center"))
+    sounds += [soundfile.read(path)[0] for path in paths]
     usual = LiveDesign.of(PARAMETERS, 48_000)
     for sound in sounds:
         change = vibration_of(saving.switch_off(usual), sound + FAINT)

@@ -42,13 +42,9 @@ def plugged(uac: int, port: str = "1-1", address: int = 5, **options: Any) -> di
     """A device for the testbed. options: of it, those of its dac under "dac"."""
     configuration = SHAPES[uac]()
     device = usb_builder.device(**{"product": 0xDAC0 + uac, **options.pop("ids", {})})
-    dac: dict[str, Any] = {
-        "descriptors": (device + configuration).hex(),
-        "uac": uac,
-        "strings": ["Soft", f"DAC {uac}", "SN1"],
-        **controls_of(configuration),
-        **options.pop("dac", {}),
-    }
+    dac: dict[str, Any] = {"descriptors": (device + configuration).hex(), "uac": uac}
+    dac |= {"strings": ["Soft", f"DAC {uac}", "SN1"], **controls_of(configuration)}
+    dac |= options.pop("dac", {})
     return {"port": port, "address": address, "card": 1, "dac": dac, **options}
 
 
@@ -56,15 +52,10 @@ def within(scene: list[dict[str, Any]], *command: str, log: Path | None = None) 
     """What a command gives that sees these devices and no others."""
     logs = {} if log is None else {"CUSHION_USBMOCK_LOG": str(log)}
     serve = ("umockdev-wrapper", SYSTEM_PYTHON, "-m", "tests.support.usbmock.serve")
-    return subprocess.run(
-        [*serve, json.dumps(scene), "--", *command],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT), **logs},
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    env = {**os.environ, "PYTHONPATH": str(ROOT), **logs}
+    options: Any = {"stdin": subprocess.DEVNULL, "capture_output": True, "timeout": 60}
+    whole = [*serve, json.dumps(scene), "--", *command]
+    return subprocess.run(whole, cwd=ROOT, env=env, text=True, **options)
 
 
 def cushion(scene: list[dict[str, Any]], *arguments: str, log: Path | None = None) -> Any:
