@@ -51,8 +51,8 @@ class Rig:
         self.folder, self.cards = folder, Cards(folder / "asound")
         self.states, self.blocks = StateKeeper(0.0), 0
         wanted = config(f"hw:{name}", Settings(actuators=actuators), block_frames=256)
-        options = {"root": self.cards.root, "target": self.target} | options
-        self.output = CardOutput(wanted, pcms.pcms["cushion_output"], self.states, **options)
+        known: Any = {"root": self.cards.root, "target": self.target} | options
+        self.output = CardOutput(wanted, pcms.pcms["cushion_output"], self.states, **known)
 
     def target(self, card: int, device: int) -> Target:
         return ToFile(self.path(card, device))

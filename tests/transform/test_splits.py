@@ -137,8 +137,8 @@ def test_asleep_and_awake_again_gives_the_same_bytes_in_any_blocks(form):
     # High, with soft ends: the last windows are heard only for what hops before them held.
     chirrup = signals.tone(5_000, 0.1, samplerate, 0.5) * np.hanning(round(0.1 * samplerate))
     awake = (signals.tone(200, 0.2, samplerate), signals.white_noise(0.01, samplerate), chirrup)
-    awake += (signals.low_noise(0.2, samplerate, 0.03),)
-    sound = signals.joined(nap, *(signals.joined(one, nap) for one in awake))
+    rumble = signals.low_noise(0.2, samplerate, 0.03)
+    sound = signals.joined(nap, *(signals.joined(one, nap) for one in (*awake, rumble)))
     expected = signals.played(sound, samplerate, form=form)
     for frames in (97, 689, 690, 691, 20_000):
         cut = signals.in_blocks(sound, every(frames, sound.size), samplerate, form=form)

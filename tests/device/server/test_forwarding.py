@@ -1,6 +1,7 @@
 """Drop-in mode's sink and loopback, as a snapshot shows them."""
 
 import re
+from typing import Any
 
 import pytest
 
@@ -27,7 +28,7 @@ def test_sinks_that_a_sound_reaches_are_found_through_modules():
     back, other = made(2, 4, SINK, 8), made(3, 4, SINK, 9)
     sinks = (sink(1, "first"), sink(2, "second"), sink(4, SINK))
     taps = made(1, 1, "first.monitor", 7), made(2, 2, "second.monitor", 8)
-    streams = {"sink_inputs": (made(1, 2, "second", 7), back, other), "source_outputs": taps}
+    streams: Any = {"sink_inputs": (made(1, 2, "second", 7), back, other), "source_outputs": taps}
     seen = snapshot(sinks=sinks, sources=tuple(map(monitor, sinks)), **streams)
     for sound, reached in (("first", {"first", "second"}), ("second", {"second"})):
         assert forwarding.reachable_sinks(seen, sound) == reached
@@ -46,7 +47,7 @@ def test_a_loopback_reports_its_route_and_whether_it_is_complete():
     moved = made(1, 4, SINK, 7, **properties)
     cases = [((out,), (tap,), True), ((moved,), (tap,), False), ((out,), (), False)]
     for playing, taps, complete in (*cases, ((), (tap,), False)):
-        own, streams = sink(4, SINK), {"sink_inputs": playing, "source_outputs": taps}
+        own, streams = sink(4, SINK), dict[str, Any](sink_inputs=playing, source_outputs=taps)
         seen = snapshot(sinks=(sink(1, "desktop"), own), sources=(monitor(own),), **streams)
         (found,) = forwarding.loopbacks(seen)
         assert (found.module, found.route, found.complete) == (7, route, complete)
