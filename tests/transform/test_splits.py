@@ -108,29 +108,6 @@ def test_random_splits_give_the_bytes_of_one_block(way, seed, typical):
 
 @pytest.mark.sweep
 @every_form
-@given(
-    kinds=st.lists(st.sampled_from(["silence", "noise", "low", "tone", "tones"]), min_size=1),
-    level=st.sampled_from([0.005, 0.01, 0.02, 0.04, 0.1, 1.0]),
-    lengths=st.lists(st.integers(0, 6_000), max_size=12),
-    seed=st.integers(0, 1_000),
-)
-@settings(max_examples=40)
-def test_any_split_of_any_mix_gives_the_bytes_of_one_block(form, kinds, level, lengths, seed):
-    # Levels at which hops with and without a strong low peak stand side by side in one batch.
-    pieces = {
-        "silence": lambda index: signals.silence(0.25, 16_000),
-        "noise": lambda index: signals.white_noise(0.1, 16_000, 2 * level, seed + index),
-        "low": lambda index: signals.low_noise(0.1, 16_000, level, seed + index),
-        "tone": lambda index: signals.tone(60 * 1.3**index, 0.1, 16_000, level),
-        "tones": lambda index: signals.five_tones(0.1, 16_000, level),
-    }
-    sound = signals.joined(*(pieces[kind](index) for index, kind in enumerate(kinds[:10])))
-    cut = signals.in_blocks(sound, lengths, 16_000, form=form)
-    assert signals.identical(cut, signals.played(sound, 16_000, form=form))
-
-
-@pytest.mark.sweep
-@every_form
 def test_asleep_and_awake_again_gives_the_same_bytes_in_any_blocks(form):
     samplerate = 44_100
     nap = signals.silence(1.3, samplerate)
