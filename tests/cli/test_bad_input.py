@@ -17,18 +17,8 @@ import soundfile
 
 from audioflinger_hook.offline.render import render_file
 from device.errors import WriteError
-from tests.support.commands import (
-    RATE,
-    call,
-    cushion,
-    listing,
-    noise,
-    open_files,
-    refused,
-    sound,
-    vibration,
-    without_a_reader,
-)
+from tests.support import commands
+from tests.support.commands import RATE, call, cushion, noise, open_files, refused, sound, vibration
 
 HEADER_BYTES = 44  # of a PCM_16 WAV file as libsndfile writes it
 
@@ -57,7 +47,7 @@ def refusal(command, path, out):
     """The error of a reader that refuses a file and leaves the older output alone."""
     error = refused(read_by(command, path, out))
     assert str(path) in error
-    assert listing(out.parent) == {out.name: b"old"}
+    assert commands.listing(out.parent) == {out.name: b"old"}
     return error
 
 
@@ -70,16 +60,12 @@ def test_what_is_no_sound_is_refused_with_the_reason(tmp_path, out, capfd, comma
     head = sound(tmp_path / "head.wav", noise(5_000), subtype="PCM_16")
     head.write_bytes(head.read_bytes()[:HEADER_BYTES])
     for name, words in {
-        "none.wav": "does not exist",
-        "dangling.wav": "does not exist",
-        "empty.wav/in.wav": "does not exist",
+        **dict.fromkeys(("none.wav", "dangling.wav", "empty.wav/in.wav"), "does not exist"),
         "empty.wav": "is empty (0 bytes)",
         "": "is a folder",
         "random.mp3": "is not a sound file",
         "head.wav": "has no sound (0 frames)",
-        "circle.wav": "",
-        "x" * 256 + ".wav": "",
-        "d/" * 2_100 + "in.wav": "",
+        **dict.fromkeys(("circle.wav", "x" * 256 + ".wav", "d/" * 2_100 + "in.wav"), ""),
     }.items():
         assert words in refusal(command, tmp_path / name, out)
     for container, subtype in (("WAV", "PCM_16"), ("AIFF", "PCM_24"), ("OGG", "VORBIS")):
@@ -149,8 +135,7 @@ def test_a_place_where_no_file_can_be_is_refused_with_the_reason(source, tmp_pat
         f"{tmp_path}/none/out.wav": f"folder {tmp_path}/none does not exist",
         f"{tmp_path}/file/out.wav": f"{tmp_path}/file is not a folder",
         "folder": "it is a folder; name a file in it",
-        "/dev/full": "it is not a regular file",
-        "/dev/null": "it is not a regular file",
+        **dict.fromkeys(("/dev/full", "/dev/null"), "it is not a regular file"),
         "circle.wav": "circle.wav",
         "-": "name a file",
         "": "",
@@ -201,7 +186,7 @@ def test_a_config_that_may_not_be_read_is_refused(nobodys):
 
 
 def test_an_output_that_is_the_input_is_refused_however_it_is_named(source, tmp_path, monkeypatch):
-    before = listing(tmp_path)
+    before = commands.listing(tmp_path)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder").mkdir()
     Path("link.wav").symlink_to(source)
@@ -210,11 +195,11 @@ def test_an_output_that_is_the_input_is_refused_however_it_is_named(source, tmp_
         assert "name two files" in error
         refused(call("render", source, "out.wav", "--acceleration", name))
         refused(call("render", name, source))
-        assert listing(tmp_path) == before | {"link.wav": before["in.wav"]}
+        assert commands.listing(tmp_path) == before | {"link.wav": before["in.wav"]}
     for name in ("out.wav", "folder/../out.wav"):
         error = refused(call("render", source, "out.wav", "--acceleration", name))
         assert re.search("the vibration.*the acceleration|the acceleration.*the vibration", error)
-    assert listing(tmp_path) == before | {"link.wav": before["in.wav"]}
+    assert commands.listing(tmp_path) == before | {"link.wav": before["in.wav"]}
 
 
 def test_a_full_disk_is_a_write_error_and_leaves_everything_as_it_was(tmp_path, small_disk, out):
@@ -224,8 +209,8 @@ def test_a_full_disk_is_a_write_error_and_leaves_everything_as_it_was(tmp_path, 
     for options in ([path], [out, "--acceleration", path], [path, "--acceleration", out]):
         error = refused(call("render", source, *options), 5)
         assert f"cannot write {path}: the disk is full" in error
-        assert listing(small_disk) == {path.name: b"old"}
-        assert listing(out.parent) == {out.name: b"old"}
+        assert commands.listing(small_disk) == {path.name: b"old"}
+        assert commands.listing(out.parent) == {out.name: b"old"}
 
 
 def test_an_acceleration_that_cannot_be_finished_leaves_the_older_vibration(tmp_path, source, out):
@@ -238,7 +223,7 @@ def test_an_acceleration_that_cannot_be_finished_leaves_the_older_vibration(tmp_
 
     with pytest.raises(WriteError, match=r"felt\.wav"):
         render_file(source, out, acceleration=folder / "felt.wav", progress=vanish)
-    assert listing(out.parent) == {out.name: b"old"}
+    assert commands.listing(out.parent) == {out.name: b"old"}
 
 
 @pytest.mark.exhaustive
@@ -261,7 +246,7 @@ def test_a_stream_that_is_closed_keeps_nobody_from_rendering(source, out, number
 @pytest.mark.sweep
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["render", "--help"]])
 def test_a_reader_that_has_gone_is_no_error(arguments):
-    done = without_a_reader(*arguments)
+    done = commands.without_a_reader(*arguments)
     assert (done.code, done.stderr) == (0, "")
 
 
@@ -302,7 +287,7 @@ def test_the_rule_for_usb_devices_needs_no_device(tmp_path, monkeypatch):
     done = call("install-service", "--udev")
     assert (done.code, done.stderr) == (0, "")
     assert "70-cushion.rules" in done.stdout
-    assert listing(tmp_path) == {}
+    assert commands.listing(tmp_path) == {}
 
 
 def test_an_error_is_one_line_whatever_its_words_hold(tmp_path, out):

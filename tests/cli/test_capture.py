@@ -123,10 +123,7 @@ def test_changes_of_format_and_discontinuities_are_replayed_and_counted(tmp_path
     source = commands.sound(tmp_path / "in.wav", np.concatenate((stereo, np.zeros((9_600, 2)))))
     assert commands.call("render", source, tmp_path / "first.wav").code == 0
     window = 2_300
-    again, first = (
-        commands.vibration(tmp_path / "out.wav"),
-        commands.vibration(tmp_path / "first.wav"),
-    )
+    again, first = (commands.vibration(tmp_path / f"{one}.wav") for one in ("out", "first"))
     assert np.array_equal(again[: 4_800 - window], first[: 4_800 - window])
     assert np.abs(again[4_800 + window : 9_600]).max() > 0.01
     said = commands.call("replay", tmp_path / "cap", tmp_path / "out.wav").stdout

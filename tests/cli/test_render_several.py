@@ -40,9 +40,8 @@ def test_each_file_is_as_if_alone_and_told_of_in_its_turn(sources, folder, tmp_p
     for source, path in zip(sources, outputs, strict=True):
         assert commands.call("render", source, alone, "--transform", form).code == 0
         assert path.read_bytes() == alone.read_bytes()
-    found = json.loads(commands.cushion("render", *reversed(sources), *options, "--json").stdout)[
-        "files"
-    ]
+    done = commands.cushion("render", *reversed(sources), *options, "--json")
+    found = json.loads(done.stdout)["files"]
     assert [entry["input"] for entry in found] == [str(source) for source in reversed(sources)]
     assert found[-1]["frames"] == 40_000
     assert all({"peak", "latency_s", "samplerate"} <= entry.keys() for entry in found)
@@ -84,10 +83,8 @@ def test_what_is_wrong_with_a_file_is_told_with_its_name(sources, folder):
 
 def test_options_may_stand_between_the_files(sources, folder):
     one, two = sources[:2]
-    files = commands.document("render", one, "--out-dir", folder, two, "--channels", "each")[
-        "files"
-    ]
-    assert [entry["channels"] for entry in files] == [2, 1]
+    told = commands.document("render", one, "--out-dir", folder, two, "--channels", "each")
+    assert [entry["channels"] for entry in told["files"]] == [2, 1]
     assert commands.document("render", one, folder / "only.wav")["channels"] == 1
     assert len(commands.document("render", one, "--out-dir", folder)["files"]) == 1
 
@@ -115,10 +112,8 @@ def test_what_cannot_be_meant_is_refused_before_anything_is_done(sources, folder
 
 @pytest.fixture(scope="module")
 def long_sources(tmp_path_factory):
-    folder, minute = (
-        tmp_path_factory.mktemp("long"),
-        np.tile(commands.noise(commands.RATE, 2), (60, 1)),
-    )
+    folder = tmp_path_factory.mktemp("long")
+    minute = np.tile(commands.noise(commands.RATE, 2), (60, 1))
     return [commands.sound(folder / f"{n}.wav", minute, subtype="PCM_16") for n in range(3)]
 
 
@@ -128,9 +123,8 @@ def two_under_way(process, folder):
 
     def both_write():
         found[:] = commands.workers_of(process)
-        return len(found) == 2 and all(
-            sum(commands.held_back(one, folder)) > 500_000 for one in found
-        )
+        held = [sum(commands.held_back(one, folder)) for one in found]
+        return len(held) == 2 and min(held) > 500_000
 
     commands.until(both_write, process)
     return found

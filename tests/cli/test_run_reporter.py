@@ -49,10 +49,8 @@ def test_what_was_over_within_one_look_is_told_all_the_same(told: Told) -> None:
     told.keeper.recover(Cause.TAP_LOST, 1.0, "the tap stopped")
     told.keeper.count(Cause.DEFAULT_CHANGED, "the tap moves to b")
     told.keeper.enter(DaemonState.RUNNING, 1.0)
-    assert told.lines(1.0) == [
-        "cushion: tap-lost: the tap stopped",
-        "cushion: default-changed: the tap moves to b",
-    ]
+    lines = ["tap-lost: the tap stopped", "default-changed: the tap moves to b"]
+    assert told.lines(1.0) == [f"cushion: {line}" for line in lines]
     assert told.lines(1.0) == []
 
 

@@ -374,9 +374,8 @@ class AnyClient(RuleBasedStateMachine):
             if not report.tracks_mixed:
                 assert not audio.any()
                 continue
-            ramped = TrackState.PAUSED in (before, self.track.mixed_state) or (
-                before is TrackState.RESUMING
-            )
+            ramped = TrackState.PAUSED in (before, self.track.mixed_state)
+            ramped |= before is TrackState.RESUMING
             if not ramped and audio[0]:
                 sounding = audio[audio != 0.0]
                 expected = np.arange(sounding[0], sounding[0] + len(sounding))

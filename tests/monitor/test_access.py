@@ -20,16 +20,8 @@ from audioflinger_hook.monitor.server import FILES, MESSAGE_BYTES_MAX, PENDING_M
 from audioflinger_hook.service.json_codec import to_json
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from device.errors import UsageError
-from tests.monitor.stand_in import (
-    LIMIT_S,
-    STATUS,
-    Page,
-    ask,
-    daemon_socket,
-    everything,
-    message,
-    page,
-)
+from tests.monitor import stand_in
+from tests.monitor.stand_in import LIMIT_S, STATUS, ask, daemon_socket, everything, message, page
 from tests.servers.listening import wait_for
 
 FORBIDDEN = 403
@@ -69,7 +61,7 @@ def nothing_was_changed(daemon, served):
     daemon.requests.clear()
 
 
-def check_refused(served: Page, path: str, *headers: str, host: str | None = None) -> None:
+def check_refused(served: stand_in.Page, path: str, *headers: str, host: str | None = None) -> None:
     status, answer = served.request(path, *headers, host=host)
     assert status == FORBIDDEN
     assert served.key not in answer

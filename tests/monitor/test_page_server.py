@@ -15,16 +15,8 @@ from websockets.sync.client import ClientConnection
 
 from audioflinger_hook.daemon.native.page import Page as NativePage
 from audioflinger_hook.service.runtime_folder import FOLDER_NAME
-from tests.monitor.stand_in import (
-    LIMIT_S,
-    Page,
-    Settings,
-    ask,
-    daemon_socket,
-    message,
-    odd_daemon,
-    page,
-)
+from tests.monitor import stand_in
+from tests.monitor.stand_in import LIMIT_S, Page, Settings, daemon_socket, message, odd_daemon, page
 from tests.servers.listening import need, wait_for
 from tests.support.commands import RUN, call
 from tests.support.memory import resident_bytes
@@ -70,10 +62,9 @@ def test_without_a_daemon_the_page_says_so_and_finds_the_next_one(tmp_path):
         link = message(live, "link")["link"]
         assert not link["connected"]
         assert "no daemon is running; start one with `cushion run`" in link["text"]
-        assert "no daemon is running" in ask(live, 1, mute=True)["error"]
-        assert (
-            "cushion_up 0.0" in served.request("/metrics", f"Authorization: Bearer {served.key}")[1]
-        )
+        assert "no daemon is running" in stand_in.ask(live, 1, mute=True)["error"]
+        with_key = f"Authorization: Bearer {served.key}"
+        assert "cushion_up 0.0" in served.request("/metrics", with_key)[1]
         for _ in range(2):
             with daemon_socket(tmp_path):
                 assert message(live, "status")["status"]["state"] == "running"
@@ -177,15 +168,15 @@ def test_a_trial_ends_when_the_browser_that_plays_it_disappears(tmp_path):
     tries = {"sync": {"try_ms": 120}}
     with daemon_socket(tmp_path) as daemon, page(tmp_path) as served:
         with served.live() as stays, served.live() as goes:
-            assert ask(stays, 1, mute=True) == {"done": True}
-            assert ask(goes, 1, **tries) == {"done": True}
+            assert stand_in.ask(stays, 1, mute=True) == {"done": True}
+            assert stand_in.ask(goes, 1, **tries) == {"done": True}
             goes.socket.shutdown(socket.SHUT_RDWR)
             wait_for(lambda: len(daemon.requests) == 3, "end of the trial", LIMIT_S)
             assert daemon.requests[-1]["sync"] == {"try_ms": None}
-            assert ask(stays, 2, **tries) == {"done": True}
-            assert ask(stays, 3, sync={"store_ms": 100}) == {"done": True}
+            assert stand_in.ask(stays, 2, **tries) == {"done": True}
+            assert stand_in.ask(stays, 3, sync={"store_ms": 100}) == {"done": True}
         with served.live() as other:
-            assert ask(other, 1, mute=False) == {"done": True}
+            assert stand_in.ask(other, 1, mute=False) == {"done": True}
         assert [asked.get("sync") for asked in daemon.requests[-2:]] == [{"store_ms": 100}, None]
 
 
@@ -263,12 +254,8 @@ def test_promtool_finds_no_fault_with_the_metrics(tmp_path):
     need([] if shutil.which("promtool") else ["promtool"])
     with daemon_socket(tmp_path), page(tmp_path) as served, served.live() as live:
         message(live, "status")
-        checked = subprocess.run(
-            ["promtool", "check", "metrics"],
-            input=metrics_of(served),
-            text=True,
-            capture_output=True,
-        )
+        told: Any = {"input": metrics_of(served), "text": True, "capture_output": True}
+        checked = subprocess.run(["promtool", "check", "metrics"], **told)
     assert (checked.returncode, checked.stderr, checked.stdout) == (0, "", "")
 
 

@@ -44,13 +44,9 @@ def folder(environ):
 @contextmanager
 def holding(environ: dict[str, str], program: str = HOLD) -> Iterator[Any]:
     """A program of its own that has said "held" and waits."""
-    with subprocess.Popen(
-        [sys.executable, "-c", program],
-        env=environment(**environ),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as process:
+    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    command = [sys.executable, "-c", program]
+    with subprocess.Popen(command, env=environment(**environ), **pipes) as process:
         try:
             assert process.stdout
             assert process.stdout.readline() == "held\n"

@@ -59,9 +59,8 @@ def clicks(a_second, seconds, samplerate=RATE, height=0.5):
     return sound
 
 
-PARTIALS = st.lists(
-    st.tuples(st.floats(20.0, 220.0), st.floats(1e-6, 1.0)), min_size=1, max_size=24
-).map(sorted)
+PARTIAL = st.tuples(st.floats(20.0, 220.0), st.floats(1e-6, 1.0))
+PARTIALS = st.lists(PARTIAL, min_size=1, max_size=24).map(sorted)
 SOUNDING = st.lists(st.floats(20.0, 220.0), max_size=24)
 
 

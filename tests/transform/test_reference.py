@@ -1,5 +1,7 @@
 """The reference form against an independent implementation, and against the paper's own figures."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import soundfile
@@ -56,25 +58,20 @@ def test_it_agrees_with_the_oracle_on_every_recording():
 @pytest.mark.parametrize("samplerate", [44_100, 48_000, 8_000, 11_025])
 def test_it_agrees_with_the_oracle_on_synthetic_sounds(samplerate):
     nyquist = samplerate / 2
+    five = signals.five_tones if nyquist > 5_000 else partial(signals.tone, 440)
+    begin, end = signals.tone(700, 0.15, samplerate), signals.tone(90, 0.1, samplerate)
+    noise = signals.white_noise(0.3, samplerate, 0.3, seed=3)
     sounds = [
-        signals.five_tones(0.6, samplerate)
-        if nyquist > 5_000
-        else signals.tone(440, 0.6, samplerate),
+        five(0.6, samplerate),
         signals.tone(60, 0.4, samplerate, 1.0),
         signals.chirp(60, min(11_000.0, 0.9 * nyquist), 0.6, samplerate),
         signals.white_noise(0.4, samplerate, 1.0, seed=1),
         signals.low_noise(0.4, samplerate, 0.1, seed=2),
         signals.square(97, 0.4, samplerate),
-        signals.joined(
-            signals.tone(700, 0.15, samplerate),
-            signals.silence(0.2, samplerate),
-            signals.tone(90, 0.1, samplerate),
-        ),
+        signals.joined(begin, signals.silence(0.2, samplerate), end),
         signals.one_sample(0.3, samplerate, 0.13),
         np.ones(round(0.3 * samplerate)),
-        signals.columns(
-            signals.tone(300, 0.3, samplerate), signals.white_noise(0.3, samplerate, 0.3, seed=3)
-        ),
+        signals.columns(signals.tone(300, 0.3, samplerate), noise),
     ]
     assert_agreement([disagreement(sound, samplerate) for sound in sounds])
 

@@ -38,9 +38,7 @@ def test_rounded_to_float32_every_sample_is_that_of_the_equation(frames, sampler
     assert not quick[1].any()
 
 
-def test_sums_on_an_edge_of_float32_go_as_the_equation_and_only_there_the_quick_way(
-    monkeypatch,
-):
+def test_sums_on_an_edge_of_float32_go_as_the_equation_and_only_there_the_quick_way(monkeypatch):
     # One partial each, as strong as it takes to bring one frame half-way between two floats.
     frames, units = 2_229, 500
     generator = np.random.default_rng(5)
