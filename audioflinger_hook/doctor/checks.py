@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from audioflinger_hook.doctor.facts import Facts
 from audioflinger_hook.service.state import READY
+from device.server.tap_volume import muted_sink
 
 WEAK_DB = -20.0  # the server's 46 %: vibration is a tenth as strong
 FREE_MIN_BYTES = 1 << 20  # state, lock and socket need some kilobytes
@@ -63,6 +64,9 @@ programs play their sound on the actuators.
 no-default-sink: The sound server has no default output, so there is no sound to capture.
     Connect your speakers, or choose the default output.
     $ pactl set-default-sink {speakers}
+no-tap: The tap {live.tap[0]!r} cannot be captured: {tap_error}.
+    Correct `tap` in the config file, or remove it to capture the default output.
+    $ cushion devices
 no-device: The device of the vibration is missing: {device_error}.
     Connect the device, or choose another one.
     $ cushion devices
@@ -75,7 +79,7 @@ device-muted: The output of the vibration {felt.name!r} is muted, at volume {fel
 device-low: The output of the vibration {felt.name!r} is at volume {felt.volume_percent} %.
     Turn the amplifier down, then set the volume to 100 %.
     $ pactl set-sink-volume {felt_word} 100%
-sound-muted: The output of the sound {heard.name!r} is muted, so nothing is felt.
+sound-muted: The output of the sound {heard.name!r} is muted or at 0 %, so nothing is felt.
     Unmute the output, and set a low volume instead.
     $ pactl set-sink-mute {heard_word} 0
 rate-clash forced: The output {sink.name!r} runs at {sink.samplerate} Hz, but PipeWire's graph is \
@@ -163,7 +167,10 @@ def find(facts: Facts) -> list[Finding]:
     )
     known = {**vars(facts), "felt": facts.felt, "heard": facts.heard}
     return [
-        Finding(name.split()[0], *(one.format(**{**known, **values}) for one in TEXTS[name]))
+        Finding(
+            name.split()[0],
+            *(one.format(**{**known, **values}).replace("?.", "?") for one in TEXTS[name]),
+        )
         for name, values in faults
     ]
 
@@ -180,6 +187,8 @@ def _simple(facts: Facts) -> Iterator[Fault]:
     )
     lacks_native = kind == "PipeWire" and facts.is_on_server and facts.native_problem
     is_python = kind == "PipeWire" and status and status.engine == "python"
+    is_default = server and felt and server.default_sink == felt.name
+    feeds_back = felt and heard == felt and not is_default
     applies = {
         "server-hangs": not server and facts.hangs,
         "no-pulse": not server and not facts.hangs and graph,
@@ -191,16 +200,19 @@ def _simple(facts: Facts) -> Iterator[Fault]:
         "no-native": facts.is_built and lacks_native,
         "plugin-copy": facts.installed not in ("", "current"),
         "no-alsa-plugin": kind == "PulseAudio" and facts.is_on_server and facts.alsa_problem,
-        "wrong-default-sink": server and felt and server.default_sink == felt.name,
+        "wrong-default-sink": is_default,
         "no-default-sink": server and not server.default_sink,
+        "no-tap": is_idle and (facts.tap_error or feeds_back),
         "no-device": is_idle and facts.device_error,
         "no-device-chosen": is_idle and not facts.live.device,
         "device-muted": felt and felt.mute,
         "device-low": felt and not felt.mute and felt.volume_db < WEAK_DB,
-        "sound-muted": heard and heard.mute and heard != felt,
+        "sound-muted": server and heard and muted_sink(server, heard.name) and heard != felt,
         "no-realtime": not (facts.is_realtime or facts.rtkit),
         "daemon-hangs": not status and facts.is_locked,
-        "daemon-silent": facts.daemon_error and not facts.is_locked,
+        "daemon-silent": facts.daemon_error
+        and not facts.is_locked
+        and facts.daemon_error not in [folder.problem for folder in facts.folders],
         "stale-lock": is_gone and holder,
         "service-failed": facts.service == "failed",
         "no-daemon": is_gone,
@@ -217,6 +229,7 @@ def _simple(facts: Facts) -> Iterator[Fault]:
         "felt_word": shlex.quote(felt.name) if felt else "",
         "as_user": " Run cushion as the user of the desktop, not as root." * facts.is_root,
         "speakers": shlex.quote(others[0]) if len(others) == 1 else "NAME",
+        "tap_error": facts.tap_error or "it is the output of the vibration",
         "device_error": facts.device_error,
         "asked": "it is not on the bus" if facts.rtkit is False else "the bus does not answer",
         "who": f"process {holder.pid}" if holder else "an unknown process",
@@ -239,7 +252,7 @@ def _repeated(facts: Facts) -> Iterator[Fault]:
         elif free_kb < least_kb:
             named = {"free_kb": free_kb, "least_kb": least_kb, "word": shlex.quote(one.path)}
             yield "disk-full", {"folder": one, **named}
-    status, players = facts.status, facts.players
+    server, status, players = facts.server, facts.status, facts.players
     if len(players) > 1:
         known = f"process {status.pid}" if status else ""
         other = next(player for player in reversed(players) if player != known)
@@ -247,7 +260,8 @@ def _repeated(facts: Facts) -> Iterator[Fault]:
         command = f"kill {process}" if process != other else "cushion plugin remove"
         named = {"count": len(players), "players": ", ".join(players), "command": command}
         yield "second-daemon", named
-    told = [f"{one.name} is muted" for one in (facts.heard, facts.felt) if one and one.mute]
+    used = [one.name for one in (facts.heard, facts.felt) if one]
+    told = [f"{name} is muted" for name in used if server and muted_sink(server, name)]
     if status and status.graph and status.graph.tap == "monitor":
         told.append("the sink's monitor is tapped")
     for line in status.warnings if status else ():

@@ -72,7 +72,8 @@ class Facts:
     mistakes: tuple[Mistake, ...] = ()
     config_warnings: tuple[str, ...] = ()
     live: LiveSettings = field(default_factory=LiveSettings)
-    device_error: str = ""  # why its device is not on the server
+    tap_error: str = ""  # why its tap is missing
+    device_error: str = ""  # why its device is missing
     is_on_server: bool = True  # whether its device is a sink
 
     # folders, and the plugin's files

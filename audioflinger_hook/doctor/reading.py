@@ -21,7 +21,7 @@ from audioflinger_hook.config.file import default_path
 from audioflinger_hook.core import library_path
 from audioflinger_hook.daemon.native.abilities import missing_parts
 from audioflinger_hook.daemon.native.chain import NAME
-from audioflinger_hook.daemon.run_config import SERVER_DEVICES
+from audioflinger_hook.daemon.run_config import CARD_DEVICES, PACED_TAPS, SERVER_DEVICES
 from audioflinger_hook.doctor.facts import OURS, Facts, Folder
 from audioflinger_hook.pipeline.config_check import find_mistakes
 from audioflinger_hook.plugin.install import Places
@@ -29,12 +29,14 @@ from audioflinger_hook.service.install import NAME as SERVICE
 from audioflinger_hook.service.install import printed, state_folder
 from audioflinger_hook.service.runtime_folder import VARIABLE, RuntimeFolder, folder_path, read_lock
 from audioflinger_hook.service.status_client import ask_status
+from audioflinger_hook.sources import open_tap, parse_tap
 from device.address import parse_device
+from device.alsa.cards import find_playback
 from device.errors import CushionError, NoAnswerError, NotFoundError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.graph import Graph
 from device.server.graph_watch import READER
-from device.server.identity import is_ours
+from device.server.identity import find_sink, is_ours
 from device.stream import AudioPriority
 from device.stream.pcms import FALLBACK_SINK, missing_plugin
 
@@ -112,12 +114,25 @@ def _with_config(facts: Facts) -> Facts:
     except CushionError as error:
         return replace(facts, config_error=str(error))
     facts = replace(facts, mistakes=tuple(mistakes), config_warnings=tuple(warnings))
-    if found is None or not found.live.device:
-        return replace(facts, live=found.live) if found else facts
-    facts, address = replace(facts, live=found.live), parse_device(found.live.device)
+    if found is None:
+        return facts
+    facts = replace(facts, live=found.live)
+    tap = parse_tap(found.live.tap[0])
+    try:
+        if tap.kind == "sink" and facts.server:
+            find_sink(facts.server, tap.name)
+        elif tap.kind in PACED_TAPS:
+            open_tap(tap).close()
+    except CushionError as error:
+        facts = replace(facts, tap_error=str(error))
+    if not found.live.device:
+        return facts
+    address = parse_device(found.live.device)
     try:
         if (is_on_server := address.kind in SERVER_DEVICES) and facts.server:
             address.sink(facts.server)
+        elif address.kind in CARD_DEVICES:
+            find_playback(address.name)
     except CushionError as error:
         return replace(facts, device_error=str(error))
     return replace(facts, is_on_server=is_on_server)

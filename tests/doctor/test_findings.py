@@ -3,6 +3,7 @@
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,6 +13,7 @@ from audioflinger_hook.config.toml_text import Mistake
 from audioflinger_hook.daemon.outputs.sink import muted
 from audioflinger_hook.doctor.checks import TEXTS, find
 from audioflinger_hook.doctor.facts import Delay, Facts, Folder
+from audioflinger_hook.doctor.reading import _with_config
 from audioflinger_hook.doctor.repair import REPAIRS
 from audioflinger_hook.doctor.report import facts_text, findings_text
 from audioflinger_hook.service.runtime_folder import Holder
@@ -107,10 +109,11 @@ CASES = {
     "no-session-manager": changed(graph=graph(node(10, "desktop", "Audio/Sink"))),
     "pulseaudio": replace(with_server(kind="PulseAudio"), graph=None),
     "wrong-default-sink": with_server(default_sink="haptic"),
+    "no-tap": replace(IDLE, live=LiveSettings(tap=("sink:haptic",), device="sink:haptic")),
     "no-default-sink": with_server(default_sink=""),
     "device-muted": with_sinks(DESKTOP, replace(HAPTIC, mute=True)),
     "device-low": with_sinks(DESKTOP, replace(HAPTIC, volume_db=-math.inf)),
-    "sound-muted": with_sinks(replace(DESKTOP, mute=True), HAPTIC),
+    "sound-muted": with_sinks(replace(DESKTOP, volume_db=-math.inf), HAPTIC),
     "rate-clash": with_sinks(replace(DESKTOP, samplerate=44_100), HAPTIC),
     "no-realtime": changed(is_realtime=False, rtkit=False),
     "second-daemon": changed(players=("process 7", "process 8")),
@@ -136,7 +139,7 @@ CASES = {
 
 @pytest.mark.parametrize("name", CASES)
 def test_each_fault_gives_its_finding_alone_in_sentences_that_say_what_to_do(name: str) -> None:
-    also = {"no-daemon"} if name == "stale-lock" else set()
+    also = {"no-daemon"} if name in ("stale-lock", "no-tap") else set()
     assert set(names(CASES[name])) == {name} | also
     for finding in find(CASES[name]):
         assert re.search(r"[^.]\.\Z", finding.wrong)
@@ -154,6 +157,8 @@ def test_the_offset_is_shown_and_pulseaudio_leads_to_the_drop_in_mode_that_finds
 
 def test_a_daemon_an_engine_or_a_config_that_says_what_is_wrong_is_a_finding() -> None:
     assert names(replace(IDLE, daemon_error="no answer")) == ["daemon-silent"]
+    open_folder = Folder("runtime", "/run/x", 1 << 30, "open to others")
+    assert names(replace(IDLE, daemon_error="open to others", folders=(open_folder,))) == ["folder"]
     engine = replace(CASES["pulseaudio"], alsa_problem="no plugin")
     assert names(engine) == ["pulseaudio", "no-alsa-plugin"]
     (unreadable,) = find(changed(config_error="no permission"))
@@ -188,6 +193,24 @@ def test_a_warning_of_a_cause_that_is_a_finding_is_not_repeated() -> None:
         "monitor-tap",
     ]
     assert names(with_status(warnings=warnings)) == ["daemon-warns"] * 3
+
+
+@pytest.mark.parametrize(
+    ("lines", "found"),
+    [
+        ('tap = "sink:desktop"\ndevice = "haptic"', []),
+        ('tap = "sink:desktp"\ndevice = "haptic"', ["no-tap"]),
+        ('tap = "file:/no/film.wav"\ndevice = "haptic"', ["no-tap"]),
+        ('device = "hw:nocard"', ["no-device"]),
+    ],
+)
+def test_a_tap_or_a_card_of_the_config_that_is_missing_is_named(
+    lines: str, found: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "cushion").mkdir()
+    (tmp_path / "cushion" / "config.toml").write_text(lines)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    assert names(_with_config(IDLE)) == [*found, "no-daemon"]
 
 
 def test_a_device_is_needed_while_no_daemon_plays_and_beside_the_server_no_engine_of_it() -> None:
