@@ -1,5 +1,6 @@
 """Rules of the config that choose profile and gain by the application that plays."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -23,7 +24,7 @@ class Pattern(Text):
             Rule.parse(value)
         except UsageError:
             return Refusal("is not a pattern", self.allowed)
-        if "[" in value and "]" not in value.partition("[")[2][1:]:
+        if "[" in re.sub(r"\[!?+.[^]]*\]", "", value):
             return Refusal("has a [ without a ]", self.allowed)
         return None
 

@@ -65,7 +65,8 @@ class OffsetStore:
                 raise ValueError(known["version"])
             for one in known["offsets"]:
                 pair, delay_s = SinkPair(one["heard"], one["felt"]), one["delay_s"]
-                if not all(isinstance(name, str) for name in pair) or not abs(delay_s) <= LONGEST_S:
+                is_number = type(delay_s) in (int, float) and abs(delay_s) <= LONGEST_S
+                if not all(isinstance(name, str) for name in pair) or not is_number:
                     raise ValueError(one)
                 delays_s[pair] = float(delay_s)
             self._delays_s = delays_s

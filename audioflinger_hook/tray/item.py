@@ -137,7 +137,8 @@ async def show(menu: Menu, timeout_s: float) -> MessageBus:
     bus, or no StatusNotifier host appears within HOST_S.
     """
     try:
-        bus = await MessageBus(bus_type=BusType.SESSION).connect()
+        async with asyncio.timeout(timeout_s):
+            bus = await MessageBus(bus_type=BusType.SESSION).connect()
     except Exception as error:  # the library raises several kinds
         raise NotFoundError(f"no D-Bus session bus answers; {NO_HOST}") from error
     bus.export(ITEM_PATH, Item())

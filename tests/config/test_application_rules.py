@@ -28,6 +28,8 @@ def test_rules_keep_their_order_and_values():
     ("text", "key", "line", "words"),
     [
         ('match = "a["', "match", 2, "has a [ without a ]"),
+        ('match = "[a]["', "match", 2, "has a [ without a ]"),
+        ('match = "[!]"', "match", 2, "has a [ without a ]"),
         ('match = " "', "match", 2, "is not a pattern"),
         ("match = 3", "match", 2, "is not a pattern"),
         ("gain_db = -3", "match", 1, "is missing"),

@@ -34,7 +34,7 @@ def test_the_oldest_pairs_are_dropped_when_there_are_too_many(tmp_path):
 
 
 ONE = {"heard": "a", "felt": "b", "delay_s": 0.1}
-WRONG: list[object] = [{**ONE, "delay_s": wrong} for wrong in (1e9, -11, "1", None, [0.1])]
+WRONG: list[object] = [{**ONE, "delay_s": wrong} for wrong in (1e9, -11, "1", None, [0.1], True)]
 WRONG += [{**ONE, "heard": 5}, {"heard": "a", "felt": "b"}, 3, None]
 
 

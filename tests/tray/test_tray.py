@@ -3,6 +3,7 @@
 import asyncio
 import os
 import shutil
+import socket
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -208,6 +209,15 @@ def test_without_a_session_bus_it_says_so(monkeypatch, tmp_path):
     monkeypatch.setenv("DBUS_SESSION_BUS_ADDRESS", f"unix:path={tmp_path}/none")
     with pytest.raises(NotFoundError, match="no D-Bus session bus answers"):
         asyncio.run(show(Menu(lambda _: None), 5.0))
+
+
+def test_a_session_bus_that_never_answers_is_not_waited_for(monkeypatch, tmp_path):
+    monkeypatch.setenv("DBUS_SESSION_BUS_ADDRESS", f"unix:path={tmp_path}/bus")
+    with socket.socket(socket.AF_UNIX) as silent:
+        silent.bind(f"{tmp_path}/bus")
+        silent.listen()
+        with pytest.raises(NotFoundError, match="no D-Bus session bus answers"):
+            asyncio.run(asyncio.wait_for(show(Menu(lambda _: None), 0.1), 5.0))
 
 
 def test_the_strength_stays_within_what_is_allowed_and_a_menu_says_why_it_is_empty():
