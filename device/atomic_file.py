@@ -232,6 +232,6 @@ def make_private_folder(folder: Path) -> None:
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(
-            f"cannot make the folder {folder}: {error.strerror}; make it yourself"
-        ) from error
+        in_way = isinstance(error, (FileExistsError, NotADirectoryError))
+        advice = "rename or remove the file in its place" if in_way else "make it yourself"
+        raise UsageError(f"cannot make the folder {folder}: {error.strerror}; {advice}") from error

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from device.atomic_file import AtomicFile, write_bytes_atomically
+from device.atomic_file import AtomicFile, make_private_folder, write_bytes_atomically
 from device.errors import UsageError, WriteError
 from tests.support.commands import listing, open_files
 from tests.support.recordings import ROOT
@@ -224,3 +224,10 @@ def test_a_folder_that_vanishes_is_a_write_error(tmp_path, way):
     shutil.rmtree(tmp_path / "folder")
     with pytest.raises(WriteError, match=r"out\.wav"):
         file.commit()
+
+
+@pytest.mark.parametrize("name", ["file", "file/folder"])
+def test_a_file_in_the_place_of_a_folder_is_named_with_what_to_do(tmp_path, name):
+    (tmp_path / "file").touch()
+    with pytest.raises(UsageError, match="rename or remove the file in its place"):
+        make_private_folder(tmp_path / name)
