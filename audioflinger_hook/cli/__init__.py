@@ -64,6 +64,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int:
+    if not {"-h", "--help", "--version"} & set(arguments):
+        _check_memory()
     parser = build_parser()
     try:
         options = parser.parse_args(arguments)
@@ -73,7 +75,6 @@ def _run(arguments: Sequence[str]) -> int:
         parser.print_help()
         print(f"\n{NEXT}")
         return 0
-    _check_memory()
     # Import only the module of this command, because some imports are slow.
     module = import_module(f"audioflinger_hook.cli.{options.command.replace('-', '_')}")
     return int(module.run(options))
