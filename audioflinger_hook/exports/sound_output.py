@@ -19,6 +19,7 @@ BLOCK_FRAMES = 4_096
 """Frames for each call of the encoder. The constant size makes a file's bytes independent of the
 caller's blocks, and limits the stack of the Vorbis encoder.
 """
+LARGE_FRAMES = 65_536  # FLAC's bytes do not depend on the size, and large blocks cost less
 
 
 class LibsndfileTarget:
@@ -93,6 +94,7 @@ class SoundFileOutput:
         self.samplerate, self.channels = samplerate, channels
         self.limited_samples = 0
         self._held = np.zeros((0, channels), np.float32)
+        self._step = BLOCK_FRAMES if format == "OGG" else LARGE_FRAMES
         self._target = target or LibsndfileTarget(path)
         self._file: soundfile.SoundFile | None = None
         try:
@@ -141,9 +143,9 @@ class SoundFileOutput:
         if beyond := int(np.count_nonzero(np.abs(held) > 1.0)):
             self.limited_samples += beyond
             np.clip(held, -1.0, 1.0, out=held)
-        for first in range(0, frames, BLOCK_FRAMES):
+        for first in range(0, frames, self._step):
             try:
-                self._file.write(held[first : first + BLOCK_FRAMES])
+                self._file.write(held[first : first + self._step])
             except (soundfile.LibsndfileError, RuntimeError) as error:
                 self._target.failure = WriteError(f"cannot encode the sound file ({error})")
             self._raise_failure()
@@ -234,15 +236,17 @@ class LeakMeter(WrappedOutput):
         super().__init__(output)
         self._watch = watch
         self._hop = 1 << (self.samplerate // 4).bit_length()
-        self._held = np.zeros((2 * self._hop, self.channels), np.float32)
+        self._held = np.zeros((self.channels, 2 * self._hop))
+        self._windowed = np.empty_like(self._held)
+        self._spectrum = np.empty((self.channels, self._hop + 1), np.complex128)
         self._filled = self._hop  # as after silence
-        self._power = np.zeros((self._hop + 1, self.channels))
+        self._power = np.zeros((self.channels, self._hop + 1))
 
     @property
     def leak_db(self) -> float | None:
         """Energy above 250 Hz in dB relative to the total energy; None for silence."""
-        first = int(AUDIBLE_FROM_HZ * len(self._held) / self.samplerate) + 1
-        above, energy = float(self._power[first:].sum()), float(self._power.sum())
+        first = int(AUDIBLE_FROM_HZ * 2 * self._hop / self.samplerate) + 1
+        above, energy = float(self._power[:, first:].sum()), float(self._power.sum())
         return amplitude_to_db(float(np.sqrt(above / energy))) if above else None
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
@@ -255,26 +259,29 @@ class LeakMeter(WrappedOutput):
 
     def close(self) -> None:
         """Measure the last windows, and close the output."""
-        self._measure(np.zeros_like(self._held))
+        self._measure(np.zeros_like(self._held).T)
         if self._watch:
-            self._watch.finish(self._power, self.samplerate)
+            self._watch.finish(self._power.T, self.samplerate)
         super().close()
 
     def _measure(self, vibration: FloatArray | Float32Array) -> None:
         while len(vibration):
-            taken = vibration[: len(self._held) - self._filled]
-            self._held[self._filled : self._filled + len(taken)] = taken
+            taken = vibration[: 2 * self._hop - self._filled]
+            self._held[:, self._filled : self._filled + len(taken)] = taken.T
             self._filled += len(taken)
             vibration = vibration[len(taken) :]
-            if self._filled == len(self._held):
-                spectrum = np.fft.rfft(_window(self._hop) * self._held, axis=0)
-                self._power += spectrum.real**2 + spectrum.imag**2
-                self._held[: self._hop] = self._held[self._hop :]
+            if self._filled == 2 * self._hop:
+                np.multiply(_window(self._hop), self._held, out=self._windowed)
+                parts = np.fft.rfft(self._windowed, out=self._spectrum).view(np.float64)
+                np.square(parts, out=parts)
+                self._power += parts[:, ::2]
+                self._power += parts[:, 1::2]
+                self._held[:, : self._hop] = self._held[:, self._hop :]
                 self._filled = self._hop
 
 
 @lru_cache(maxsize=4)
-def _window(hop: int) -> Float32Array:
-    """Return the power-complementary window of the Vorbis codec, (2 * hop, 1)."""
-    phase = np.pi * (np.arange(2 * hop)[:, None] + 0.5) / (2 * hop)
-    return np.sin(0.5 * np.pi * np.sin(phase) ** 2).astype(np.float32)
+def _window(hop: int) -> FloatArray:
+    """Return the power-complementary window of the Vorbis codec, (2 * hop,)."""
+    phase = np.pi * (np.arange(2 * hop) + 0.5) / (2 * hop)
+    return np.sin(0.5 * np.pi * np.sin(phase) ** 2)
