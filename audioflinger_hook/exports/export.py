@@ -14,6 +14,7 @@ from audioflinger_hook.exports.options import (
     ExportOptions,
     ExportReport,
     check_channel_count,
+    check_duration,
     format_of,
     held_rate_hz,
 )
@@ -24,10 +25,10 @@ from audioflinger_hook.exports.parametric import (
     Job,
     PartialLines,
     Writer,
-    check_duration,
     refuse_settings,
 )
 from audioflinger_hook.exports.sound_output import (
+    BackgroundOutput,
     LeakMeter,
     SoundFileOutput,
     Watch,
@@ -74,10 +75,11 @@ def export(
     name = options.format
     file: VibrationOutput
     meter: LeakMeter
+    background: BackgroundOutput
     rate: int  # of the file
 
     def open_file(path: Path, samplerate: int, channels: int) -> VibrationOutput:
-        nonlocal file, meter, rate
+        nonlocal file, meter, background, rate
         check_channel_count(name, channels)
         rate = options.output_rate_hz or held_rate_hz(name, samplerate)
         if name in WRITERS:
@@ -89,12 +91,13 @@ def export(
         else:
             file = WavOutput(path, rate, channels)
         meter = LeakMeter(resampled(file, samplerate), watch)
-        return meter
+        background = BackgroundOutput(meter)
+        return background
 
     def observe(framework: Framework) -> Callable[[Step], None] | None:
         if isinstance(file, OggHapticOutput):
             hear = file.hear
-            return lambda step: hear(step.audio)
+            return lambda step: background.run(hear, step.audio)
         return file.observe(framework) if isinstance(file, DescribedOutput) else None
 
     with closing(client):
@@ -102,13 +105,13 @@ def export(
             refuse_settings(name, settings)
             # The file is for any actuator, so no rig's resonance is compensated.
             settings = replace(settings, said=(*settings.said, "strength"))
-        if FORMATS[name].whole and client.frames_expected:
-            check_duration(client.frames_expected / client.samplerate, name)
+        check_duration(name, (client.frames_expected or 0) / client.samplerate)
         report = render(
             client,
             target,
             settings,
             progress=progress,
+            wait=lambda frames: check_duration(name, frames / client.samplerate),
             warnings=warnings,
             fade_s=0.0 if name in WRITERS else FADE_S,
             open_output=open_file,

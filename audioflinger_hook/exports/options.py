@@ -1,7 +1,9 @@
 """The export formats, the options of an export with their allowed values, and its report."""
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +19,14 @@ DEVICE_SPAN_MIN_HZ = 10.0
 OUTPUT_RATE_MIN_HZ, OUTPUT_RATE_MAX_HZ = 1_000, 768_000
 RESAMPLED_HZ = 192_000  # sample rate of a file whose format cannot hold the sound's
 FLAC_ANY_HZ, FLAC_STEP_HZ = 65_535, 10  # above, FLAC's frames hold only multiples of 10 Hz
+STEP_S, STEPS_MAX = 0.01, 20_000  # shortest step of vibration XML, and largest number of steps
+HOUR_S = 3600.0
+
+AT_ONCE: dict[str, Any] = {
+    "parametric": True,
+    "longest_s": HOUR_S,
+    "reason": "which a player reads as a whole",
+}
 
 
 @dataclass(frozen=True)
@@ -27,7 +37,7 @@ class Format:
     parametric: whether the file contains envelopes or partials instead of a waveform.
     channels_max: largest number of channels of vibration.
     rate_max_hz: highest sample rate of a waveform.
-    whole: whether the whole file is made in memory, so that the sound may last at most 1 hour.
+    longest_s: longest sound in seconds. reason: why there is such a limit, after a comma.
     times_wav: how many times as long as a WAV file it takes to make.
     """
 
@@ -36,7 +46,8 @@ class Format:
     parametric: bool = False
     channels_max: int = 1
     rate_max_hz: int = OUTPUT_RATE_MAX_HZ
-    whole: bool = False
+    longest_s: float = math.inf
+    reason: str = ""
     times_wav: int = 1
 
 
@@ -48,14 +59,28 @@ FORMATS: dict[str, Format] = {
         "the sound, with vibration as Android's haptic channels",
         channels_max=2,
         rate_max_hz=200_000,
+        longest_s=HOUR_S,
+        reason="whose encoder alone takes over twice the time of `render`",
         times_wav=5,
     ),
-    "ahap": Format((".ahap",), "curves and transients of Core Haptics", True, whole=True),
-    "haptic": Format((".haptic",), "envelopes of Meta and Lofelt", True, whole=True),
-    "vibration-xml": Format((".xml",), "vibration effect of Android 16", True, whole=True),
-    "hjif": Format((".hjif",), "partials of ISO/IEC 23090-31", True, channels_max=64, whole=True),
+    "ahap": Format((".ahap",), "curves and transients of Core Haptics", **AT_ONCE),
+    "haptic": Format((".haptic",), "envelopes of Meta and Lofelt", **AT_ONCE),
+    "vibration-xml": Format(
+        (".xml",),
+        "vibration effect of Android 16",
+        True,
+        longest_s=STEPS_MAX * STEP_S,
+        reason=f"which holds {STEPS_MAX} steps of {1e3 * STEP_S:g} ms",
+    ),
+    "hjif": Format((".hjif",), "partials of ISO/IEC 23090-31", channels_max=64, **AT_ONCE),
     "partials": Format(
-        (".jsonl",), "partial tracks, JSON lines", True, channels_max=64, times_wav=15
+        (".jsonl",),
+        "partial tracks, JSON lines",
+        True,
+        channels_max=64,
+        longest_s=HOUR_S,
+        reason="whose text takes 40 times the bytes of a WAV file at 1 kHz",
+        times_wav=15,
     ),
 }
 
@@ -172,6 +197,17 @@ def check_channel_count(name: str, channels: int) -> None:
         raise UsageError(
             f"the format {name} cannot hold {channels} channels of vibration; allowed: 1 to "
             f"{most}; use channels = mono, fewer actuators, or one of: {', '.join(enough)}"
+        )
+
+
+def check_duration(name: str, duration_s: float) -> None:
+    """Raise UsageError if a sound is too long for a format."""
+    one = FORMATS[name]
+    if duration_s > one.longest_s:
+        enough = [other for other, its in FORMATS.items() if its.longest_s >= duration_s]
+        raise UsageError(
+            f"the sound of {duration_s:.1f} s is too long for the format {name}, {one.reason}; "
+            f"allowed: {one.longest_s:g} s; cut it, or choose one of: {', '.join(enough)}"
         )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports.glides import CHANNEL, CurveReader, VibrationCurve
-from audioflinger_hook.exports.options import FORMATS, Band, ExportOptions
+from audioflinger_hook.exports.options import Band, ExportOptions
 from audioflinger_hook.exports.tracks import PartialTrack, TrackReader
 from audioflinger_hook.pipeline.framework import Framework
 from audioflinger_hook.pipeline.step import Step
@@ -20,7 +20,6 @@ from device.atomic_file import AtomicFile
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray, db_to_amplitude
 
-DURATION_MAX_S = 3600.0  # longest sound of formats whose file is composed in memory
 SHORTEST_S = 0.001
 
 
@@ -67,7 +66,6 @@ class DescribedOutput:
     ) -> None:
         self.samplerate, self.channels = samplerate, channels
         self.composed = Composed()
-        self._format = options.format
         self._file = AtomicFile(path)
         design = LiveDesign.of(settings.parameters, samplerate)
         gain = db_to_amplitude(settings.gain_db)
@@ -81,8 +79,6 @@ class DescribedOutput:
         def take(step: Step) -> None:
             self._heard += len(step.audio)
             self._played += len(step.vibration)
-            if FORMATS[self._format].whole:
-                check_duration(self._heard / self.samplerate, self._format)
             rows = framework.take_glides()
             for channel in range(self.channels):
                 self._writer.add(channel, rows[rows[:, CHANNEL] == channel], self._played)
@@ -208,16 +204,6 @@ def json_bytes(document: dict[str, Any]) -> bytes:
 def rounded(value: float) -> float:
     """Return a value rounded to 5 decimals, with 0.0 for -0.0."""
     return round(float(value), 5) + 0.0
-
-
-def check_duration(duration_s: float, name: str) -> None:
-    """Raise UsageError if a sound is too long for a format whose file is made in memory."""
-    if duration_s > DURATION_MAX_S:
-        streamed = ", ".join(name for name, one in FORMATS.items() if not one.whole)
-        raise UsageError(
-            f"the sound of {duration_s:.1f} s is too long for the format {name}, which a player "
-            f"reads as a whole; allowed: {DURATION_MAX_S:g} s; cut it, or choose one of: {streamed}"
-        )
 
 
 def refuse_settings(name: str, settings: Settings) -> None:

@@ -14,14 +14,12 @@ import numpy as np
 
 from audioflinger_hook.exports.envelope import Envelope, Limits, envelope_error, envelope_of
 from audioflinger_hook.exports.glides import VibrationCurve
-from audioflinger_hook.exports.options import Band, band_text, to_device_hz
+from audioflinger_hook.exports.options import STEP_S, Band, band_text, to_device_hz
 from audioflinger_hook.exports.parametric import Composed, Content
-from device.errors import UsageError
 
 POINTS_MAX, POINT_MIN_MS, POINT_MAX_MS = 16, 20, 1_000
 AMPLITUDE_MAX = 255
-STEP_MS = 10  # shortest step of a waveform
-STEPS_MAX = 20_000  # largest number of steps of a waveform
+STEP_MS = round(1e3 * STEP_S)  # shortest step of a waveform
 SILENT_MS = 200  # pauses shorter than this get amplitude 1 of 255, so that the motor does not stop
 TOLERANCES = (0.012, 0.025, 0.05)
 FOLLOWS_DB = -20.0  # an envelope effect with a larger `envelope_error_db` becomes a waveform
@@ -96,12 +94,6 @@ def _envelope_effect(
 
 def _waveform_effect(curve: VibrationCurve, duration_s: float, band_hz: Band | None) -> Content:
     steps = _steps(curve, duration_s)
-    if len(steps) > STEPS_MAX:
-        raise UsageError(
-            f"the sound of {duration_s:.0f} s needs {len(steps)} steps in the format "
-            f"vibration-xml; allowed: {STEPS_MAX}, about {STEPS_MAX * STEP_MS / 1e3:g} s of "
-            "changing vibration; cut the sound, or choose one of: ogg-haptic, partials, hjif"
-        )
     lines = [
         f'    <waveform-entry durationMs="{duration}" amplitude="{amplitude}"/>'
         for duration, amplitude in steps

@@ -11,9 +11,10 @@ import soundfile
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports.export import ExportOptions, export
-from audioflinger_hook.exports.options import FORMATS
+from audioflinger_hook.exports.options import FORMATS, STEPS_MAX
 from audioflinger_hook.sources import TapClient
 from device.errors import UsageError
+from tests.support import commands
 from tests.support.commands import RATE, call, document, listing, noise, refused, sound
 from tests.support.signals import tone
 
@@ -144,20 +145,38 @@ class LongTap:
         pass
 
 
-@pytest.mark.parametrize("name", [name for name, one in FORMATS.items() if one.whole])
+LONGEST_S = {name: one.longest_s for name, one in FORMATS.items() if one.longest_s < np.inf}
+
+
+@pytest.mark.parametrize(("name", "longest_s"), LONGEST_S.items())
 @pytest.mark.parametrize("length_known", [True, False])
-def test_two_hours_are_refused_at_the_start(name: str, length_known: bool, folder: Path) -> None:
+def test_two_hours_are_refused_at_the_start(name, longest_s, length_known, folder):
     tap = LongTap(np.zeros(1_000, np.float32), 7_200)
     if not length_known:
         tap.frames_expected = None
-    with pytest.raises(UsageError, match=r"too long for the format .* allowed: 3600 s; .* ogg"):
+    said = f"too long for the format {name}, .*; allowed: {longest_s:g} s; cut it, .*: wav, flac$"
+    with pytest.raises(UsageError, match=said):
         export(TapClient(tap), folder / "out", Settings(), ExportOptions(name))
     assert listing(folder) == {}
-    assert tap.left == 7_200 if length_known else 3_500 < tap.left < 3_600
+    assert tap.left == 7_200 if length_known else 0 < 7_200 - longest_s - tap.left < 100
+
+
+def test_the_longest_vibration_xml_has_room_for_any_sound(folder: Path) -> None:
+    tap = LongTap(noise(1_000).astype(np.float32), round(LONGEST_S["vibration-xml"]))
+    report = export(TapClient(tap), folder / "out", Settings(), ExportOptions("vibration-xml"))
+    assert report.duration_s == 200.0
+    assert 10_000 < report.error["steps"] <= STEPS_MAX
+
+
+def test_a_terminal_shows_progress_of_an_export(source: Path, folder: Path) -> None:
+    arguments = ("export", source, folder / "out.jsonl", "--json")
+    done, drawn = commands.on_a_terminal(*arguments, streams=("stderr",))
+    assert json.loads(done.stdout)["frames"] == RATE // 2
+    assert "100 %" in drawn
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("name", [name for name, one in FORMATS.items() if not one.whole])
+@pytest.mark.parametrize("name", ["wav", "flac", "ogg-haptic", "partials"])
 def test_memory_does_not_grow_with_the_length(name: str, folder: Path) -> None:
     second, out = noise(8_000).astype(np.float32), folder / "out"
     options, peaks = ExportOptions(name, 1_000 if name in ("wav", "flac") else None), []

@@ -1,5 +1,6 @@
 """WAV and FLAC at any rate hold the same vibration, in a fraction of the bytes."""
 
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -8,9 +9,13 @@ import pytest
 from scipy.signal import czt
 
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.exports import sound_output
 from audioflinger_hook.exports.export import ExportOptions, export
-from audioflinger_hook.exports.sound_output import LeakMeter, ResampledOutput
+from audioflinger_hook.exports.sound_output import BackgroundOutput, LeakMeter, ResampledOutput
 from audioflinger_hook.offline.render import render
+from device.drive.outputs import WrappedOutput
+from device.errors import WriteError
+from device.output import VibrationOutput
 from device.wav_output import WavOutput
 from tests.support.exports import RATE_HZ, client_of, exported, read_wave, scene
 from tests.support.signals import tone
@@ -83,6 +88,47 @@ def test_a_leak_meter_tells_what_is_over_250_hz(hz: float, leak_db: float, tmp_p
     assert meter.leak_db is not None
     assert meter.leak_db >= leak_db if hz > 250.0 else meter.leak_db <= leak_db
     assert meter.leak_db <= 0.01
+
+
+def test_scipy_finds_the_same_leak_in_long_sounds(tmp_path: Path, monkeypatch: Any) -> None:
+    noise, leaks = np.random.default_rng(4).standard_normal((RATE_HZ, 2)), []
+    for windows in (0, 3, sound_output.LONG_WINDOWS):
+        monkeypatch.setattr(sound_output, "LONG_WINDOWS", windows)
+        meter = LeakMeter(WavOutput(tmp_path / "out.wav", RATE_HZ, 2))
+        meter.write(noise)
+        meter.close()
+        leaks.append(meter.leak_db)
+    assert leaks == pytest.approx([leaks[0]] * 3, abs=1e-5)
+
+
+class Slow(WrappedOutput):
+    """Keeps blocks and the names of threads; fails at the third block."""
+
+    def __init__(self, output: VibrationOutput) -> None:
+        super().__init__(output)
+        self.blocks, self.threads = list[float](), set[str]()
+
+    def write(self, vibration: Any) -> None:
+        self.threads.add(threading.current_thread().name)
+        if len(self.blocks) == 3:
+            raise WriteError("full")
+        self.blocks.append(float(vibration[0, 0]))
+
+
+def test_blocks_are_encoded_in_order_on_a_second_thread_which_reports_errors(
+    tmp_path: Path,
+) -> None:
+    slow, block = Slow(WavOutput(tmp_path / "out.wav", RATE_HZ, 1)), np.zeros((9, 1))
+    output = BackgroundOutput(slow)
+    with pytest.raises(WriteError, match="full"):
+        for number in range(99):
+            block[:] = number
+            output.write(block)
+    output.abort()
+    assert slow.blocks == [0.0, 1.0, 2.0]
+    assert threading.current_thread().name not in slow.threads
+    assert len(slow.threads) == 1
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_silence_has_no_leak(tmp_path: Path) -> None:
