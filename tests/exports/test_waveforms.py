@@ -120,10 +120,14 @@ def test_blocks_are_encoded_in_order_on_a_second_thread_which_reports_errors(
 ) -> None:
     slow, block = Slow(WavOutput(tmp_path / "out.wav", RATE_HZ, 1)), np.zeros((9, 1))
     output = BackgroundOutput(slow)
-    with pytest.raises(WriteError, match="full"):
+
+    def play() -> None:
         for number in range(99):
             block[:] = number
             output.write(block)
+
+    with pytest.raises(WriteError, match="full"):
+        play()
     output.abort()
     assert slow.blocks == [0.0, 1.0, 2.0]
     assert threading.current_thread().name not in slow.threads
