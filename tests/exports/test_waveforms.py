@@ -9,7 +9,6 @@ import pytest
 from scipy.signal import czt
 
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.exports import sound_output
 from audioflinger_hook.exports.export import ExportOptions, export
 from audioflinger_hook.exports.sound_output import BackgroundOutput, LeakMeter, ResampledOutput
 from audioflinger_hook.offline.render import render
@@ -88,17 +87,6 @@ def test_a_leak_meter_tells_what_is_over_250_hz(hz: float, leak_db: float, tmp_p
     assert meter.leak_db is not None
     assert meter.leak_db >= leak_db if hz > 250.0 else meter.leak_db <= leak_db
     assert meter.leak_db <= 0.01
-
-
-def test_scipy_finds_the_same_leak_in_long_sounds(tmp_path: Path, monkeypatch: Any) -> None:
-    noise, leaks = np.random.default_rng(4).standard_normal((RATE_HZ, 2)), []
-    for windows in (0, 3, sound_output.LONG_WINDOWS):
-        monkeypatch.setattr(sound_output, "LONG_WINDOWS", windows)
-        meter = LeakMeter(WavOutput(tmp_path / "out.wav", RATE_HZ, 2))
-        meter.write(noise)
-        meter.close()
-        leaks.append(meter.leak_db)
-    assert leaks == pytest.approx([leaks[0]] * 3, abs=1e-5)
 
 
 class Slow(WrappedOutput):
