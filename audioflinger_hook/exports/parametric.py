@@ -12,7 +12,7 @@ import numpy as np
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports.glides import CHANNEL, CurveReader, VibrationCurve
 from audioflinger_hook.exports.options import FORMATS, Band, ExportOptions
-from audioflinger_hook.exports.tracks import PartialTrack, TrackReader
+from audioflinger_hook.exports.tracks import EndedTrack, PartialTrack, TrackReader, audible_tracks
 from audioflinger_hook.pipeline.framework import Framework
 from audioflinger_hook.pipeline.step import Step
 from audioflinger_hook.transform.design import LiveDesign
@@ -22,6 +22,7 @@ from device.units import Float32Array, FloatArray, db_to_amplitude
 
 DURATION_MAX_S = 3600.0  # longest sound of formats whose file is composed in memory
 SHORTEST_S = 0.001
+TOGETHER_GLIDES = 4_096  # glides of ended tracks that are computed together
 
 
 @dataclass(frozen=True)
@@ -127,23 +128,34 @@ class TrackWriter(ABC):
     def __init__(self, job: Job) -> None:
         self._job = job
         self._band_hz = job.options.device_band_hz
-        self._readers = [TrackReader(job.design, job.gain) for _ in range(job.channels)]
-        self._tracks = 0
+        self._readers = [TrackReader(job.design, channel) for channel in range(job.channels)]
+        self._counts = [0] * job.channels
+        self._ended: list[EndedTrack] = []
+        self._waiting = 0  # glides of `_ended`
 
     def add(self, channel: int, rows: FloatArray, frame: int) -> None:
         """Add glides of a channel. The calls so far must include all that start before `frame`."""
-        self._take_all(channel, self._readers[channel].add(rows, frame))
+        self._collect(self._readers[channel].add(rows, frame))
 
     def finish(self, duration_s: float) -> Composed:
         """Take the tracks that have not ended, write the rest of the file and return counts."""
-        for channel, reader in enumerate(self._readers):
-            self._take_all(channel, reader.rest())
-        counts = {"tracks": self._tracks, **self.write_rest(duration_s)}
+        for reader in self._readers:
+            self._collect(reader.rest())
+        self._take_all()
+        counts = {"tracks": sum(self._counts), **self.write_rest(duration_s)}
         return Composed({name: float(count) for name, count in counts.items()})
 
-    def _take_all(self, channel: int, tracks: Iterable[PartialTrack]) -> None:
-        for track in tracks:
-            self._tracks += 1
+    def _collect(self, ended: Iterable[EndedTrack]) -> None:
+        for track in ended:
+            self._ended.append(track)
+            self._waiting += len(track.rows)
+            if self._waiting > TOGETHER_GLIDES:
+                self._take_all()
+
+    def _take_all(self) -> None:
+        ended, self._ended, self._waiting = self._ended, [], 0
+        design, gain = self._job.design, self._job.gain
+        for channel, track in audible_tracks(design, gain, ended, self._counts):
             self.take(channel, track.on_device(self._band_hz))
 
     @abstractmethod
@@ -190,7 +202,7 @@ class PartialLines(TrackWriter):
 
     def write_rest(self, duration_s: float) -> dict[str, int]:
         """Write the end line."""
-        self._line(type="end", duration_s=duration_s, tracks=self._tracks)
+        self._line(type="end", duration_s=duration_s, tracks=sum(self._counts))
         return {"points": self._points}
 
     def _line(self, **entry: Any) -> None:
