@@ -36,6 +36,7 @@ def simplify(
         points are of one curve.
     """
     begins = np.cumsum([0, *(sizes or [len(values)])])
+    curves = list(zip(values.T.copy(), tolerance.T.copy(), strict=True))
     kept = np.zeros(len(values), dtype=np.bool_)
     lines: list[tuple[int, int]] = []
     for begin, end in pairwise(begins.tolist()):
@@ -56,16 +57,17 @@ def simplify(
         # The points where each line may be split, of all lines in a row.
         count = end - first - 2 * spacing + 1
         begin = np.cumsum(count) - count
-        line = np.repeat(np.arange(first.size), count)
-        place = np.arange(line.size) - (begin - first - spacing)[line]
-        slope = (values[end] - values[first]) / (times[end] - times[first])[:, None]
-        drawn = values[first][line] + slope[line] * (times[place] - times[first][line])[:, None]
-        error = (np.abs(values[place] - drawn) / tolerance[place]).max(axis=1)
+        place = np.arange(count.sum()) + np.repeat(first + spacing - begin, count)
+        since = times[place] - np.repeat(times[first], count)
+        error = np.zeros(place.size)
+        for value, allowed in curves:
+            slope = (value[end] - value[first]) / (times[end] - times[first])
+            drawn = np.repeat(value[first], count) + np.repeat(slope, count) * since
+            np.maximum(error, np.abs(value[place] - drawn) / allowed[place], out=error)
         largest = np.maximum.reduceat(error, begin)
-        worst = np.flatnonzero(error == largest[line])
-        chosen = worst[np.searchsorted(worst, begin)]
         split = largest > 1.0
-        middle = place[chosen[split]]
+        worst = np.flatnonzero(error == np.repeat(np.where(split, largest, np.nan), count))
+        middle = place[worst[np.searchsorted(worst, begin[split])]]
         kept[middle] = True
         first, end = np.append(first[split], middle), np.append(middle, end[split])
 
