@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.exports.decimals import decimal_text, point_texts
 from audioflinger_hook.exports.glides import CHANNEL, CurveReader, VibrationCurve
 from audioflinger_hook.exports.options import FORMATS, Band, ExportOptions
 from audioflinger_hook.exports.tracks import EndedTrack, PartialTrack, TrackReader, audible_tracks
@@ -155,12 +156,13 @@ class TrackWriter(ABC):
     def _take_all(self) -> None:
         ended, self._ended, self._waiting = self._ended, [], 0
         design, gain = self._job.design, self._job.gain
-        for channel, track in audible_tracks(design, gain, ended, self._counts):
-            self.take(channel, track.on_device(self._band_hz))
+        tracks = audible_tracks(design, gain, ended, self._counts)
+        if tracks:
+            self.take([(channel, track.on_device(self._band_hz)) for channel, track in tracks])
 
     @abstractmethod
-    def take(self, channel: int, track: PartialTrack) -> None:
-        """Write or store a track. Its frequencies are those of the device."""
+    def take(self, tracks: list[tuple[int, PartialTrack]]) -> None:
+        """Write or store tracks, each with its channel. Frequencies are those of the device."""
 
     @abstractmethod
     def write_rest(self, duration_s: float) -> dict[str, int]:
@@ -187,18 +189,24 @@ class PartialLines(TrackWriter):
             device_band_hz=self._band_hz,
         )
 
-    def take(self, channel: int, track: PartialTrack) -> None:
-        """Write a track that has ended."""
-        self._points += track.time_s.size
-        columns = (
-            np.round(track.time_s, 6),
-            np.round(track.hz, 3),
-            np.round(track.amplitude, 7),
-            np.round(track.turns % 1.0, 4) % 1.0,
+    def take(self, tracks: list[tuple[int, PartialTrack]]) -> None:
+        """Write tracks that have ended."""
+        sizes = np.array([track.time_s.size for _, track in tracks])
+        self._points += int(sizes.sum())
+        time_s, hz, amplitude, turns = (
+            np.concatenate([getattr(track, name) for _, track in tracks])
+            for name in ("time_s", "hz", "amplitude", "turns")
         )
-        points = np.column_stack(columns).tolist()
-        place = {"channel": channel, "track": track.number, "onset": track.onset}
-        self._line(type="track", **place, points=points)
+        columns = [
+            decimal_text(time_s, 6),
+            decimal_text(hz, 3),
+            decimal_text(amplitude, 7),
+            decimal_text(np.round(turns % 1.0, 4) % 1.0, 4),
+        ]
+        for (channel, track), points in zip(tracks, point_texts(columns, sizes), strict=True):
+            onset = json.dumps(track.onset)
+            head = f'{{"type":"track","channel":{channel},"track":{track.number},"onset":{onset}'
+            self._job.file.write(head.encode() + b',"points":%b}\n' % points)
 
     def write_rest(self, duration_s: float) -> dict[str, int]:
         """Write the end line."""

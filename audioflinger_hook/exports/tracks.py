@@ -1,6 +1,6 @@
 """Partial tracks: time, frequency, amplitude and phase at points of a partial (sine component)."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from audioflinger_hook.exports.envelope import simplify
 from audioflinger_hook.exports.glides import (
+    COLUMNS,
     END_HZ,
     END_LEVEL,
     FRAME,
@@ -97,35 +98,41 @@ class TrackReader:
 
     def __init__(self, design: LiveDesign, channel: int) -> None:
         self._design, self._channel = design, channel
-        self._open: dict[int, list[tuple[list[float], bool]]] = {}
+        self._open = EndedTrack(channel, np.zeros((0, COLUMNS)), np.zeros(0, np.bool_))
 
-    def add(self, rows: FloatArray, frame: int) -> Iterator[EndedTrack]:
-        """Add glides, at least all that start before `frame`; yield the tracks that have ended."""
+    def add(self, rows: FloatArray, frame: float) -> list[EndedTrack]:
+        """Add glides, at least all that start before `frame`; return the tracks that have ended."""
         rows = rows[np.lexsort((rows[:, SLOT], rows[:, FRAME]))]
-        rises = rising(self._design, rows)
-        for row, rise in zip(rows.tolist(), rises.tolist(), strict=True):
-            slot = int(row[SLOT])
-            mine = self._open.get(slot)
-            if mine:
-                last = mine[-1][0]
-                joined = last[FRAME] + last[FRAMES] == row[FRAME] and row[START_LEVEL] > 0.0
-                lasts_s = (row[FRAME] - mine[0][0][FRAME]) / self._design.samplerate
-                if not joined or lasts_s >= LONGEST_TRACK_S:
-                    yield self._end(slot)
-            self._open.setdefault(slot, []).append((row, rise))
-        for slot, mine in list(self._open.items()):
-            last = mine[-1][0]
-            if last[FRAME] + last[FRAMES] + self._design.grid.hop_frames < frame:
-                yield self._end(slot)
+        rises = np.concatenate((self._open.rises, rising(self._design, rows)))
+        rows = np.concatenate((self._open.rows, rows))
+        order = np.lexsort((rows[:, FRAME], rows[:, SLOT]))
+        rows, rises = rows[order], rises[order]
+        starts, slots = rows[:, FRAME], rows[:, SLOT]
+        same_slot = slots[1:] == slots[:-1]
+        joined = (starts[:-1] + rows[:-1, FRAMES] == starts[1:]) & (rows[1:, START_LEVEL] > 0.0)
+        cuts = [*(np.flatnonzero(~(same_slot & joined)) + 1).tolist(), len(rows)]
+        first, ended, kept = 0, list[tuple[bool, float, float, int, int]](), list[int]()
+        for cut in cuts if len(rows) else ():
+            while first < cut:
+                after_s = starts[first] + LONGEST_TRACK_S * self._design.samplerate
+                end = first + int(np.searchsorted(starts[first:cut], after_s))
+                if end < len(rows) and slots[end] == slots[first]:
+                    ended.append((False, starts[end], slots[end], first, end))
+                elif starts[end - 1] + rows[end - 1, FRAMES] + self._design.grid.hop_frames < frame:
+                    ended.append((True, starts[first], slots[first], first, end))
+                else:
+                    kept += range(first, end)
+                first = end
+        self._open = EndedTrack(self._channel, rows[kept], rises[kept])
+        # The order is that of the glides which end tracks, then that of the tracks' first glides.
+        return [
+            EndedTrack(self._channel, rows[first:end].copy(), rises[first:end].copy())
+            for *_, first, end in sorted(ended)
+        ]
 
-    def rest(self) -> Iterator[EndedTrack]:
-        """Yield the tracks that have not ended."""
-        for slot in list(self._open):
-            yield self._end(slot)
-
-    def _end(self, slot: int) -> EndedTrack:
-        rows, rises = zip(*self._open.pop(slot), strict=True)
-        return EndedTrack(self._channel, np.array(rows), np.array(rises))
+    def rest(self) -> list[EndedTrack]:
+        """Return the tracks that have not ended."""
+        return self.add(np.zeros((0, COLUMNS)), np.inf)
 
 
 def audible_tracks(
@@ -173,9 +180,8 @@ def _filtered(
     glides, glide_hz = analytic(design, rows.reshape(-1, rows.shape[2]), rises.ravel())
     low_rate_hz = design.samplerate / design.grid.decimation
     ring, size = round(RING_S * low_rate_hz), len(chosen)
-    signal = np.concatenate((glides.reshape(size, -1), np.zeros((size, ring))), axis=1)
-    known_hz = np.repeat(glide_hz.reshape(size, -1), 1, axis=1)
-    known_hz = np.concatenate((known_hz, np.repeat(known_hz[:, -1:], ring, axis=1)), axis=1)
+    signal = np.pad(glides.reshape(size, -1), ((0, 0), (0, ring)))
+    known_hz = np.pad(glide_hz.reshape(size, -1), ((0, 0), (0, ring)), "edge")
     rest = at_rest(design)
     state = np.zeros((*rest.shape[:-1], size, rest.shape[-1]), np.complex128)
     signal, _ = low_pass(design, signal, state)
