@@ -12,8 +12,6 @@ from audioflinger_hook.sources import FileTap, TapClient
 from device.errors import UsageError
 from device.values import counted
 
-LONG_S = 600.0  # sounds that are longer get a warning for slow formats
-
 
 def run(options: argparse.Namespace) -> int:
     """Export the vibration of a sound file, and print a summary."""
@@ -25,9 +23,9 @@ def run(options: argparse.Namespace) -> int:
     refuse_same_file(options.input, options.output, None)
     settings = chosen_settings(options)
     tap = FileTap(options.input)
-    client, times = TapClient(tap), FORMATS[wanted.format].times_wav
-    if times > 1 and (client.frames_expected or 0) > LONG_S * client.samplerate:
-        warn(f"the format {wanted.format} takes about {times} times as long as wav or flac")
+    client, made = TapClient(tap), FORMATS[wanted.format]
+    if made.note and (client.frames_expected or 0) > made.long_s * client.samplerate:
+        warn(f"the format {wanted.format} {made.note}")
     with progress_bar(options.input.name) as progress:
         report = export(client, options.output, settings, wanted, progress, tap.warnings)
     for warning in report.warnings:

@@ -3,6 +3,7 @@
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -101,6 +102,7 @@ class DescribedOutput:
 
     def abort(self) -> None:
         """Discard the file."""
+        self._writer.abort()
         self._file.abort()
 
 
@@ -122,9 +124,15 @@ class CurveWriter:
         self._job.file.write(content)
         return composed
 
+    def abort(self) -> None:
+        """Do nothing: the file is written only by `finish`."""
+
 
 class TrackWriter(ABC):
-    """Writes a format that contains the partial tracks of all channels, on one thread."""
+    """Writes a format that contains the partial tracks of all channels. One thread may use it.
+
+    While the caller renders the next sound, a thread of the writer computes tracks.
+    """
 
     def __init__(self, job: Job) -> None:
         self._job = job
@@ -133,6 +141,8 @@ class TrackWriter(ABC):
         self._counts = [0] * job.channels
         self._ended: list[EndedTrack] = []
         self._waiting = 0  # glides of `_ended`
+        self._worker = ThreadPoolExecutor(1)
+        self._busy: Future[None] | None = None
 
     def add(self, channel: int, rows: FloatArray, frame: int) -> None:
         """Add glides of a channel. The calls so far must include all that start before `frame`."""
@@ -143,6 +153,8 @@ class TrackWriter(ABC):
         for reader in self._readers:
             self._collect(reader.rest())
         self._take_all()
+        self._join()
+        self._worker.shutdown()
         counts = {"tracks": sum(self._counts), **self.write_rest(duration_s)}
         return Composed({name: float(count) for name, count in counts.items()})
 
@@ -153,10 +165,22 @@ class TrackWriter(ABC):
             if self._waiting > TOGETHER_GLIDES:
                 self._take_all()
 
+    def abort(self) -> None:
+        """Stop writing; afterwards, the file may be discarded."""
+        self._worker.shutdown(cancel_futures=True)
+
     def _take_all(self) -> None:
-        ended, self._ended, self._waiting = self._ended, [], 0
-        design, gain = self._job.design, self._job.gain
-        tracks = audible_tracks(design, gain, ended, self._counts)
+        """Let the worker thread write the ended tracks, after those before."""
+        self._join()
+        self._busy = self._worker.submit(self._write, self._ended)
+        self._ended, self._waiting = [], 0
+
+    def _join(self) -> None:
+        if self._busy:
+            self._busy.result()
+
+    def _write(self, ended: list[EndedTrack]) -> None:
+        tracks = audible_tracks(self._job.design, self._job.gain, ended, self._counts)
         if tracks:
             self.take([(channel, track.on_device(self._band_hz)) for channel, track in tracks])
 
