@@ -6,7 +6,8 @@ import json
 
 from audioflinger_hook.cli.render import chosen_settings
 from audioflinger_hook.cli.terminal import level_text, progress_bar, warn
-from audioflinger_hook.exports.export import FORMATS, ExportOptions, ExportReport, export, format_of
+from audioflinger_hook.exports.export import ExportOptions, ExportReport, export, format_of
+from audioflinger_hook.exports.options import LONG
 from audioflinger_hook.offline.render import refuse_same_file
 from audioflinger_hook.sources import FileTap, TapClient
 from device.errors import UsageError
@@ -23,9 +24,9 @@ def run(options: argparse.Namespace) -> int:
     refuse_same_file(options.input, options.output, None)
     settings = chosen_settings(options)
     tap = FileTap(options.input)
-    client, made = TapClient(tap), FORMATS[wanted.format]
-    if made.note and (client.frames_expected or 0) > made.long_s * client.samplerate:
-        warn(f"the format {wanted.format} {made.note}")
+    client, (long_s, note) = TapClient(tap), LONG.get(wanted.format, (0, ""))
+    if note and (client.frames_expected or 0) > long_s * client.samplerate:
+        warn(f"the format {wanted.format} {note}")
     with progress_bar(options.input.name) as progress:
         report = export(client, options.output, settings, wanted, progress, tap.warnings)
     for warning in report.warnings:

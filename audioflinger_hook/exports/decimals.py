@@ -1,51 +1,41 @@
-"""Numbers as text, many at a time, with the digits of Python's `repr` of the rounded values."""
+"""Numbers as JSON text, many at a time, with the digits of Python's `repr` of rounded values."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from device.units import FloatArray
 
-Text = tuple[NDArray[np.uint8], NDArray[np.bool_]]
-"""ASCII characters, (n, width), and which of them belong to the text, (n, width)."""
 
-SMALL_FROM = 4  # `repr` has an exponent for numbers below 10**-4
-
-
-def decimal_text(numbers: FloatArray, decimals: int) -> Text:
-    """Return (n,) numbers as text, rounded to `decimals` places. At least one place is shown."""
+def decimal_text(numbers: FloatArray, decimals: int) -> NDArray[np.uint8]:
+    """Return (n,) numbers, rounded to `decimals` places, as ASCII, (n, width), padded with 0."""
     units = np.rint(np.abs(numbers) * 10.0**decimals).astype(np.int64)
-    whole = max(1, len(str(units.max(initial=0))) - decimals)
+    whole = max(1, len(str(units.max())) - decimals)
     digits = units[:, None] // 10 ** np.arange(whole + decimals - 1, -1, -1) % 10
-    shown = digits > 0
-    shown[:, whole - 1 : whole + 1] = True
-    shown[:, :whole] = np.logical_or.accumulate(shown[:, :whole], axis=1)
-    shown[:, whole:] = np.logical_or.accumulate(shown[:, : whole - 1 : -1], axis=1)[:, ::-1]
-    text = np.insert(digits + ord("0"), whole, ord("."), axis=1).astype(np.uint8)
-    shown = np.insert(shown, whole, values=True, axis=1)
-    small = (units > 0) & (units < 10 ** max(0, decimals - SMALL_FROM))
+    text = np.where(digits > 0, ord("0") + digits, 0).astype(np.uint8)
+    # A zero is shown at both sides of the point, and between these and other digits.
+    text[:, whole - 1 : whole + 1] |= ord("0")
+    shown = (
+        np.maximum.accumulate(text[:, :whole], 1),
+        np.maximum.accumulate(text[:, : whole - 1 : -1], 1),
+    )
+    text[np.hstack((shown[0], shown[1][:, ::-1])) > 0] |= ord("0")
+    text = np.insert(text, whole, ord("."), axis=1)
+    small = (units > 0) & (10**4 * units < 10**decimals)  # where `repr` has an exponent
     if small.any():
-        values, which = np.unique(units[small], return_inverse=True)
-        words = [repr(value / 10**decimals) for value in values.tolist()]
-        table = np.array(words, f"S{text.shape[1]}").view(np.uint8).reshape(len(words), -1)
-        text[small], shown[small] = table[which], table[which] > 0
-    return np.insert(text, 0, ord("-"), axis=1), np.insert(shown, 0, np.signbit(numbers), axis=1)
+        values, place = np.unique(units[small] / 10**decimals, return_inverse=True)
+        table = np.array([repr(value) for value in values.tolist()], f"S{text.shape[1]}")
+        text[small] = table.view(np.uint8).reshape(len(values), -1)[place]
+    return np.insert(text, 0, np.where(np.signbit(numbers), ord("-"), 0), axis=1)
 
 
-def point_texts(columns: list[Text], sizes: NDArray[np.intp]) -> list[bytes]:
-    """Return JSON arrays of points, such as b"[[0.1,2.0],[0.2,3.0]]", one for each list of points.
+def point_texts(columns: list[NDArray[np.uint8]], sizes: NDArray[np.intp]) -> list[bytes]:
+    """Return JSON lists of points, such as b"[0.1,2.0],[0.2,3.0]".
 
-    columns: one number of each point. sizes: number of points of each list, 1 or more.
+    columns: numbers of the points as text. sizes: number of points of each list, 1 or more.
     """
-    count = len(columns[0][0])
-
-    def mark(sign: str) -> Text:
-        return np.full((count, 1), ord(sign), np.uint8), np.ones((count, 1), np.bool_)
-
-    row = [mark("[")]
-    for column in columns:
-        row += [column, mark(",")]
-    parts = [*row[:-1], mark("]"), mark(",")]
-    text, shown = (np.concatenate(both, axis=1) for both in zip(*parts, strict=True))
-    ends = np.cumsum(np.count_nonzero(shown, axis=1))[np.cumsum(sizes) - 1].tolist()
-    content = text[shown].tobytes()
-    return [b"[%b]" % content[a : b - 1] for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+    ends = np.full((len(columns[0]), 1), ord(","), np.uint8)
+    parts = [part for column in columns for part in (ends, column)]
+    after = ends.copy()
+    after[np.cumsum(sizes) - 1] = ord("\n")
+    text = np.hstack([ends - ord(",") + ord("["), *parts[1:], ends - ord(",") + ord("]"), after])
+    return text.tobytes().translate(None, b"\0").splitlines()

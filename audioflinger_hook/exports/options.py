@@ -28,7 +28,6 @@ class Format:
     channels_max: largest number of channels of vibration.
     rate_max_hz: highest sample rate of a waveform.
     whole: whether the whole file is made in memory, so that the sound may last at most 1 hour.
-    long_s, note: about sounds longer than this, in seconds, a command says this at its start.
     """
 
     suffixes: tuple[str, ...]
@@ -37,8 +36,6 @@ class Format:
     channels_max: int = 1
     rate_max_hz: int = OUTPUT_RATE_MAX_HZ
     whole: bool = False
-    long_s: float = 600.0
-    note: str = ""
 
 
 FORMATS: dict[str, Format] = {
@@ -49,28 +46,20 @@ FORMATS: dict[str, Format] = {
         "the sound, with vibration as Android's haptic channels",
         channels_max=2,
         rate_max_hz=200_000,
-        note="takes about 5 times as long as wav or flac, because of its encoder",
     ),
     "ahap": Format((".ahap",), "curves and transients of Core Haptics", True, whole=True),
     "haptic": Format((".haptic",), "envelopes of Meta and Lofelt", True, whole=True),
-    "vibration-xml": Format(
-        (".xml",),
-        "vibration effect of Android 16",
-        True,
-        whole=True,
-        long_s=200.0,
-        note="holds about 200 s of changing vibration; a sound with more is refused at its end",
-    ),
-    "hjif": Format(
-        (".hjif",),
-        "partials of ISO/IEC 23090-31",
-        True,
-        channels_max=64,
-        whole=True,
-        note="takes 4 to 30 times as long as wav or flac",
-    ),
+    "vibration-xml": Format((".xml",), "vibration effect of Android 16", True, whole=True),
+    "hjif": Format((".hjif",), "partials of ISO/IEC 23090-31", True, channels_max=64, whole=True),
     "partials": Format((".jsonl",), "partial tracks, JSON lines", True, channels_max=64),
 }
+
+LONG = {
+    "ogg-haptic": (600, "takes about 4 times as long as wav or flac, because of its encoder"),
+    "vibration-xml": (200, "holds 200 s of changing vibration; more of it is refused at the end"),
+    "hjif": (600, "takes 4 to 30 times as long as wav or flac"),
+}
+"""What a command says at its start about sounds longer than some seconds, by format."""
 
 
 @dataclass(frozen=True)

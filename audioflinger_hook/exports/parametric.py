@@ -12,7 +12,7 @@ import numpy as np
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports.decimals import decimal_text, point_texts
-from audioflinger_hook.exports.glides import CHANNEL, CurveReader, VibrationCurve
+from audioflinger_hook.exports.glides import CHANNEL, FRAMES, CurveReader, VibrationCurve
 from audioflinger_hook.exports.options import FORMATS, Band, ExportOptions
 from audioflinger_hook.exports.tracks import EndedTrack, PartialTrack, TrackReader, audible_tracks
 from audioflinger_hook.pipeline.framework import Framework
@@ -24,7 +24,7 @@ from device.units import Float32Array, FloatArray, db_to_amplitude
 
 DURATION_MAX_S = 3600.0  # longest sound of formats whose file is composed in memory
 SHORTEST_S = 0.001
-TOGETHER_GLIDES = 4_096  # glides of ended tracks that are computed together
+TOGETHER_S = 60.0  # duration of all tracks that are computed together
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ class TrackWriter(ABC):
         self._readers = [TrackReader(job.design, channel) for channel in range(job.channels)]
         self._counts = [0] * job.channels
         self._ended: list[EndedTrack] = []
-        self._waiting = 0  # glides of `_ended`
+        self._waiting_s = 0.0  # duration of all tracks in `_ended`
         self._worker = ThreadPoolExecutor(1)
         self._busy: Future[None] | None = None
 
@@ -161,8 +161,8 @@ class TrackWriter(ABC):
     def _collect(self, ended: Iterable[EndedTrack]) -> None:
         for track in ended:
             self._ended.append(track)
-            self._waiting += len(track.rows)
-            if self._waiting > TOGETHER_GLIDES:
+            self._waiting_s += float(track.rows[:, FRAMES].sum()) / self._job.design.samplerate
+            if self._waiting_s > TOGETHER_S:
                 self._take_all()
 
     def abort(self) -> None:
@@ -173,7 +173,7 @@ class TrackWriter(ABC):
         """Let the worker thread write the ended tracks, after those before."""
         self._join()
         self._busy = self._worker.submit(self._write, self._ended)
-        self._ended, self._waiting = [], 0
+        self._ended, self._waiting_s = [], 0.0
 
     def _join(self) -> None:
         if self._busy:
@@ -221,16 +221,13 @@ class PartialLines(TrackWriter):
             np.concatenate([getattr(track, name) for _, track in tracks])
             for name in ("time_s", "hz", "amplitude", "turns")
         )
-        columns = [
-            decimal_text(time_s, 6),
-            decimal_text(hz, 3),
-            decimal_text(amplitude, 7),
-            decimal_text(np.round(turns % 1.0, 4) % 1.0, 4),
-        ]
-        for (channel, track), points in zip(tracks, point_texts(columns, sizes), strict=True):
+        phase = np.round(turns % 1.0, 4) % 1.0
+        places = ((time_s, 6), (hz, 3), (amplitude, 7), (phase, 4))
+        texts = point_texts([decimal_text(*column) for column in places], sizes)
+        for (channel, track), points in zip(tracks, texts, strict=True):
             onset = json.dumps(track.onset)
             head = f'{{"type":"track","channel":{channel},"track":{track.number},"onset":{onset}'
-            self._job.file.write(head.encode() + b',"points":%b}\n' % points)
+            self._job.file.write(head.encode() + b',"points":[%b]}\n' % points)
 
     def write_rest(self, duration_s: float) -> dict[str, int]:
         """Write the end line."""

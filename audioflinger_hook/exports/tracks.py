@@ -1,7 +1,9 @@
 """Partial tracks: time, frequency, amplitude and phase at points of a partial (sine component)."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,19 +144,11 @@ def audible_tracks(
 
     gain: amplitude factor. counts: number of audible tracks so far in each channel; is increased.
     """
+    # Tracks of similar length are computed together, padded to the longest.
+    kinds = [(one.rows[0, FRAMES], int(math.log(len(one.rows), PADDED))) for one in ended]
     found: dict[int, PartialTrack] = {}
-    sizes = [(one.rows[0, FRAMES], len(one.rows)) for one in ended]
-    group: list[int] = []
-    for place in sorted(range(len(ended)), key=sizes.__getitem__):
-        # Tracks of similar length are computed together, padded to the longest.
-        if group:
-            frames, length = sizes[group[0]]
-            if sizes[place][0] != frames or sizes[place][1] > PADDED * length + 1:
-                found |= _filtered(design, gain, ended, group)
-                group = []
-        group.append(place)
-    if group:
-        found |= _filtered(design, gain, ended, group)
+    for _, group in groupby(sorted(range(len(ended)), key=kinds.__getitem__), kinds.__getitem__):
+        found |= _filtered(design, gain, ended, list(group))
     tracks = []
     for place, track in sorted(found.items()):
         channel = ended[place].channel
