@@ -1,8 +1,10 @@
 """Writing of parametric formats, which contain envelopes or partials instead of samples."""
 
 import json
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections import deque
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +14,7 @@ import numpy as np
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports.decimals import decimal_text, point_texts
-from audioflinger_hook.exports.glides import CHANNEL, FRAMES, CurveReader, VibrationCurve
+from audioflinger_hook.exports.glides import CHANNEL, COLUMNS, FRAMES, CurveReader, VibrationCurve
 from audioflinger_hook.exports.options import FORMATS, Band, ExportOptions
 from audioflinger_hook.exports.tracks import EndedTrack, PartialTrack, TrackReader, audible_tracks
 from audioflinger_hook.pipeline.framework import Framework
@@ -24,7 +26,8 @@ from device.units import Float32Array, FloatArray, db_to_amplitude
 
 DURATION_MAX_S = 3600.0  # longest sound of formats whose file is composed in memory
 SHORTEST_S = 0.001
-TOGETHER_S = 60.0  # duration of all tracks that are computed together
+TOGETHER_S = 40.0  # duration of all tracks that are computed together
+JOBS_MAX = 16  # most calls of `TrackWriter.add` that wait for the thread
 
 
 @dataclass(frozen=True)
@@ -98,11 +101,12 @@ class DescribedOutput:
     def close(self) -> None:
         """Write the rest of the file, which then appears under its name."""
         self.composed = self._writer.finish(self._heard / self.samplerate)
+        self._writer.end()
         self._file.commit()
 
     def abort(self) -> None:
         """Discard the file."""
-        self._writer.abort()
+        self._writer.end()
         self._file.abort()
 
 
@@ -124,14 +128,14 @@ class CurveWriter:
         self._job.file.write(content)
         return composed
 
-    def abort(self) -> None:
-        """Do nothing: the file is written only by `finish`."""
+    def end(self) -> None:
+        """Do nothing: there is no thread."""
 
 
 class TrackWriter(ABC):
     """Writes a format that contains the partial tracks of all channels. One thread may use it.
 
-    While the caller renders the next sound, a thread of the writer computes tracks.
+    While the caller renders the next sound, a thread of the writer computes the tracks.
     """
 
     def __init__(self, job: Job) -> None:
@@ -142,44 +146,37 @@ class TrackWriter(ABC):
         self._ended: list[EndedTrack] = []
         self._waiting_s = 0.0  # duration of all tracks in `_ended`
         self._worker = ThreadPoolExecutor(1)
-        self._busy: Future[None] | None = None
+        self._jobs: deque[Future[None]] = deque()
 
-    def add(self, channel: int, rows: FloatArray, frame: int) -> None:
+    def add(self, channel: int, rows: FloatArray, frame: float) -> None:
         """Add glides of a channel. The calls so far must include all that start before `frame`."""
-        self._collect(self._readers[channel].add(rows, frame))
+        self._jobs.append(self._worker.submit(self._divide, channel, rows, frame))
+        if len(self._jobs) > JOBS_MAX:
+            self._jobs.popleft().result()
 
     def finish(self, duration_s: float) -> Composed:
         """Take the tracks that have not ended, write the rest of the file and return counts."""
-        for reader in self._readers:
-            self._collect(reader.rest())
+        for channel in range(self._job.channels):
+            self.add(channel, np.zeros((0, COLUMNS)), math.inf)
+        while self._jobs:
+            self._jobs.popleft().result()
         self._take_all()
-        self._join()
-        self._worker.shutdown()
         counts = {"tracks": sum(self._counts), **self.write_rest(duration_s)}
         return Composed({name: float(count) for name, count in counts.items()})
 
-    def _collect(self, ended: Iterable[EndedTrack]) -> None:
-        for track in ended:
+    def end(self) -> None:
+        """End the thread, which then writes no more."""
+        self._worker.shutdown(cancel_futures=True)
+
+    def _divide(self, channel: int, rows: FloatArray, frame: float) -> None:
+        for track in self._readers[channel].add(rows, frame):
             self._ended.append(track)
             self._waiting_s += float(track.rows[:, FRAMES].sum()) / self._job.design.samplerate
             if self._waiting_s > TOGETHER_S:
                 self._take_all()
 
-    def abort(self) -> None:
-        """Stop writing; afterwards, the file may be discarded."""
-        self._worker.shutdown(cancel_futures=True)
-
     def _take_all(self) -> None:
-        """Let the worker thread write the ended tracks, after those before."""
-        self._join()
-        self._busy = self._worker.submit(self._write, self._ended)
-        self._ended, self._waiting_s = [], 0.0
-
-    def _join(self) -> None:
-        if self._busy:
-            self._busy.result()
-
-    def _write(self, ended: list[EndedTrack]) -> None:
+        ended, self._ended, self._waiting_s = self._ended, [], 0.0
         tracks = audible_tracks(self._job.design, self._job.gain, ended, self._counts)
         if tracks:
             self.take([(channel, track.on_device(self._band_hz)) for channel, track in tracks])

@@ -103,7 +103,10 @@ class TrackReader:
         self._open = EndedTrack(channel, np.zeros((0, COLUMNS)), np.zeros(0, np.bool_))
 
     def add(self, rows: FloatArray, frame: float) -> list[EndedTrack]:
-        """Add glides, at least all that start before `frame`; return the tracks that have ended."""
+        """Add glides, at least all that start before `frame`; return the tracks that have ended.
+
+        frame: infinity ends all tracks.
+        """
         rows = rows[np.lexsort((rows[:, SLOT], rows[:, FRAME]))]
         rises = np.concatenate((self._open.rises, rising(self._design, rows)))
         rows = np.concatenate((self._open.rows, rows))
@@ -131,10 +134,6 @@ class TrackReader:
             EndedTrack(self._channel, rows[first:end].copy(), rises[first:end].copy())
             for *_, first, end in sorted(ended)
         ]
-
-    def rest(self) -> list[EndedTrack]:
-        """Return the tracks that have not ended."""
-        return self.add(np.zeros((0, COLUMNS)), np.inf)
 
 
 def audible_tracks(
