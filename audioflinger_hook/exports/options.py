@@ -58,6 +58,7 @@ LONG = {
     "ogg-haptic": (600, "takes about 4 times as long as wav or flac, because of its encoder"),
     "vibration-xml": (200, "holds 200 s of changing vibration; more of it is refused at the end"),
     "hjif": (600, "takes 4 to 30 times as long as wav or flac"),
+    "partials": (600, "takes about 2 to 4 times as long as wav or flac"),
 }
 """What a command says at its start about sounds longer than some seconds, by format."""
 
