@@ -22,7 +22,6 @@ from device.temporary_folder import delete_abandoned_folders, temporary_folder
 
 T = TypeVar("T")
 
-RECORD_BYTES_MAX = 1 << 20
 RECORD = ".json"  # suffix of a record's name, after the name of its result
 
 # In these storages, an upload appears only when complete. In all others, the upload is renamed.
@@ -74,10 +73,8 @@ class LocalStorage:
         path = f"{self._root}/{name}"
         with _if_present(path):
             file = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # may be a pipe
-            try:
-                return os.read(file, RECORD_BYTES_MAX)
-            finally:
-                os.close(file)
+            with os.fdopen(file, "rb", 0) as opened:
+                return opened.read() or b""
         return None
 
     def write(self, name: str, content: bytes) -> None:
