@@ -122,7 +122,7 @@ class TrialMeter:
             "seconds": seconds,
             "peak_dbfs": amplitude_to_db(max(self._peak, SILENT)),
             "level_dbfs": amplitude_to_db(max(math.sqrt(square), SILENT)),
-            "protection_db": -amplitude_to_db(self._gain),
+            "protection_db": abs(amplitude_to_db(self._gain)),
             "limited_blocks": self._limited_blocks() - self._limited,
             "dose": None if worst is None else vars(worst),
         }

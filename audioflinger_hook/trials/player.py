@@ -152,6 +152,8 @@ class DaemonPlayer:
 
     def close(self) -> None:
         """End the session with the daemon. May be repeated."""
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)  # wakes `play` in another thread
         self._socket.close()
         self._folder.close()
 
@@ -212,7 +214,7 @@ def _read(path: Path) -> Float32Array:
     """Return a file's frames at 48 kHz, (frames, channels)."""
     if path.suffix == ".npy":
         try:
-            return np.load(path, allow_pickle=False).astype(np.float32).reshape(-1, 1)
+            return np.asarray(np.load(path, allow_pickle=False), np.float32).reshape(-1, 1)
         except (OSError, ValueError, EOFError) as error:
             raise UsageError(f"{path} is no array of numbers ({error})") from None
     tap, parts = FileTap(path), []
