@@ -26,6 +26,10 @@ def design_digest(design: Mapping[str, Any] | bytes) -> str:
     return sha256(design).hexdigest()
 
 
+class OtherDesignError(UsageError):
+    """A record belongs to another design."""
+
+
 class TrialRecord(AbstractContextManager["TrialRecord"]):
     """An append-only file of trials, which one process may have open.
 
@@ -37,8 +41,8 @@ class TrialRecord(AbstractContextManager["TrialRecord"]):
     path: the file; a missing file, and its folder, is made. design: the design's `design_digest`.
     header: further entries for the header of a new file; ignored for an existing file.
 
-    UsageError: the file cannot be opened, belongs to another design, is no record, or another
-    process has it open. WriteError: the header cannot be written.
+    OtherDesignError: the file belongs to another design. UsageError: the file cannot be opened, is
+    no record, or another process has it open. WriteError: the header cannot be written.
     """
 
     def __init__(
@@ -99,7 +103,7 @@ class TrialRecord(AbstractContextManager["TrialRecord"]):
             return
         header, *trials = (self._parsed(*one) for one in enumerate(whole.split(b"\n"), 1))
         if (found := header.get("design")) != design:
-            raise UsageError(
+            raise OtherDesignError(
                 f"the record {self.path} belongs to another design (SHA-256 {str(found)[:12]}, "
                 f"now {design[:12]}); restore that design, or begin a new record"
             )
