@@ -84,9 +84,7 @@ class Talk:
     received: bytes that have arrived already. is_over: whether the server stops.
     """
 
-    def __init__(
-        self, client: socket.socket, received: bytes, is_over: Callable[[], bool]
-    ) -> None:
+    def __init__(self, client: socket.socket, received: bytes, is_over: Callable[[], bool]) -> None:
         self._client, self._waiting, self._is_over = client, received, is_over
         client.settimeout(REQUEST_TIME_S)
 
