@@ -3,9 +3,8 @@
 import argparse
 import json
 import secrets
-import subprocess
+import shlex
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
@@ -35,6 +34,7 @@ from audioflinger_hook.trials.record import OtherDesignError, TrialRecord
 from device.address import parse_device
 from device.atomic_file import write_bytes_atomically
 from device.errors import CushionError, LostError, NotFoundError, UsageError, not_installed
+from device.process import started
 from device.values import counted, nearest
 
 ANSWER_S = 4.0  # longest wait for an answer of the daemon
@@ -201,8 +201,8 @@ def _person(options: argparse.Namespace, record: TrialRecord) -> Iterator[Sitter
 
     with ExitStack() as stack:
         player = stack.enter_context(closing(DaemonPlayer()))
-        if why := player.wait(BEGINS_S):
-            raise LostError(f"the daemon plays no trials: {why}")
+        if not player.wait(BEGINS_S):
+            raise LostError(f"the daemon plays no trials: {player.why_not}")
         answers: Answers
         if options.page:
             answers = stack.enter_context(closing(PageAnswers(player.stop, tell)))
@@ -246,14 +246,7 @@ def _started(device: str, stack: ExitStack) -> Status:
             "person with --simulate SITTER.json"
         )
     command = [*own_command(), "run", *(["--device", device] if device else [])]
-    errors = stack.enter_context(tempfile.TemporaryFile("w+"))
-    child = subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=errors,
-        start_new_session=True,
-    )
+    child = started(command)
     stack.callback(child.wait)
     stack.callback(child.terminate)
     end_s = time.monotonic() + BEGINS_S
@@ -263,6 +256,4 @@ def _started(device: str, stack: ExitStack) -> Status:
             if status.state in (DaemonState.RUNNING, DaemonState.IDLE):
                 return status
         time.sleep(0.1)
-    errors.seek(0)
-    said = errors.read().strip().splitlines() or ["it does not begin"]
-    raise LostError(f"the daemon does not play: {said[-1].removeprefix('cushion: error: ')}")
+    raise LostError(f"the daemon does not play; see what `{shlex.join(command)}` says")

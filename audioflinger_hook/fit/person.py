@@ -145,9 +145,9 @@ class TerminalAnswers:
         """Print a question with its keys; return the answer."""
         offered = {one.key: one for one in (*question.choices, *question.also)}
         keys = ", ".join(f"{key} {one.label.lower()}" for key, one in offered.items())
-        print(*question.text, f"{question.title} ({keys})", sep="\n", file=sys.stderr, flush=True)
         while self._keys(0.0):  # pressed before the question
             pass
+        print(*question.text, f"{question.title} ({keys})", sep="\n", file=sys.stderr, flush=True)
         while (pressed := self._keys(60.0).lower()) not in offered:
             pass
         return Answer(offered[pressed].value, 0.0)

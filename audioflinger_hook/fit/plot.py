@@ -38,5 +38,6 @@ def plot_png(fits: Sequence[Fit]) -> bytes:
     axes.grid(color=HAIRLINE)
     axes.legend(frameon=False)
     content = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(content)
+    # Some versions of matplotlib have no type annotations for the canvas.
+    FigureCanvasAgg(figure).print_png(content)  # type: ignore[no-untyped-call, unused-ignore]
     return content.getvalue()
