@@ -287,6 +287,9 @@ def _plugin(command: Parser) -> None:
         "--device", str, "NODE", "also write a PipeWire chain that plays to this sink"
     )
     command.add_value("--rate", int, "HZ", "also write settings for this sample rate")
+    command.add_value(
+        "--fit", str, "NAME", "fit for all profiles but paper; see `cushion fit list`"
+    )
 
 
 @_command("install-service", "start the daemon at every login", "--device usb:152a:8750")

@@ -4,6 +4,7 @@ import argparse
 import os
 import sys
 
+from audioflinger_hook.config import fits
 from audioflinger_hook.plugin.install import (
     LOADING_COMMANDS,
     RATES_HZ,
@@ -24,7 +25,8 @@ def run(options: argparse.Namespace) -> int:
             print(f"{path}: removed")
     else:
         rates_hz = (*RATES_HZ, options.rate) if options.rate else RATES_HZ
-        install(places, options.profile, options.device, tuple(sorted(set(rates_hz))))
+        curve = fits.read(options.fit).curve if options.fit else ""
+        install(places, options.profile, options.device, tuple(sorted(set(rates_hz))), curve)
         print(f"{places.plugin}: written, for {', '.join(map(str, sorted(set(rates_hz))))} Hz")
         print(f"{places.bundle}: written")
         if options.device:
