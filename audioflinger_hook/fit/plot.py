@@ -29,7 +29,7 @@ def plot_png(fits: Sequence[Fit]) -> bytes:
         axes.plot(hz, level_db, "o-", color=colour, label=label)
         if fit is fits[0]:
             axes.fill_between(hz, low, high, color=colour, alpha=0.2, label="± standard deviation")
-    weakest = "weaker: the gain stays +12 dB"
+    weakest = "below: the gain stays +12 dB"
     axes.axhline(-FIT_BOOST_DB, color=GREY, linestyle=":", label=weakest)
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     ticks = [float(hz) for hz in fits[0].curve_db]

@@ -37,6 +37,10 @@ class FitText(Text):
             return None
         return Refusal("is not the name of a fit", self.allowed)
 
+    def json_schema(self) -> dict[str, Any]:
+        """Return a string, empty for the default."""
+        return {"type": "string"}
+
 
 def fit_points(curve: str) -> list[tuple[float, float]]:
     """Return frequencies in Hz and sensitivities in dB of a curve HZ:DB,... ."""
@@ -148,9 +152,9 @@ class TransformParameters(Described):
         str,
         Choice(
             "weight of amplitudes in the strength: 1 (flat), the sensitivity of a seated body "
-            "(felt), this sensitivity times the rig's response (rig), or the sensitivity that "
-            "`cushion fit` has measured (fit)",
-            ("flat", "felt", "rig", "fit"),
+            "(felt), the sensitivity that `cushion fit` has measured (fit), or that of a seated "
+            "body times the rig's response (rig)",
+            ("flat", "felt", "fit", "rig"),
         ),
     ] = "flat"
     fit: Annotated[str, FitText("fit that strength = fit uses; default: the device's")] = ""
