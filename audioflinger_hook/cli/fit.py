@@ -38,6 +38,7 @@ from device.process import started
 from device.values import counted, nearest
 
 ANSWER_S = 4.0  # longest wait for an answer of the daemon
+FADED_S = 0.3  # from the end of a trial to the end of its daemon, for the fade
 BEGINS_S = 20.0  # longest time until a new daemon plays
 VERBS = {"list": (0, 0), "show": (0, 1), "compare": (2, 4), "undo": (1, 1)}  # names to give
 
@@ -193,7 +194,7 @@ def _manage(options: argparse.Namespace) -> int:
 def _person(options: argparse.Namespace, record: TrialRecord) -> Iterator[Sitter]:
     """Yield a person at the terminal or on the page, whose level is chosen."""
     from audioflinger_hook.fit.person import Person, TerminalAnswers
-    from audioflinger_hook.trials.page import Answers, PageAnswers
+    from audioflinger_hook.trials.page import Answers, Kind, PageAnswers, Question
     from audioflinger_hook.trials.player import DaemonPlayer
 
     def tell(url: str) -> None:
@@ -214,6 +215,7 @@ def _person(options: argparse.Namespace, record: TrialRecord) -> Iterator[Sitter
         if known is None:
             person.choose_level()
         yield person
+        answers.show(Question(Kind.PLAYING, "Thank you", ("The comparisons are over.",)))
 
 
 @contextmanager
@@ -249,6 +251,7 @@ def _started(device: str, stack: ExitStack) -> Status:
     child = started(command)
     stack.callback(child.wait)
     stack.callback(child.terminate)
+    stack.callback(time.sleep, FADED_S)
     end_s = time.monotonic() + BEGINS_S
     while time.monotonic() < end_s and child.poll() is None:
         with suppress(CushionError):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from audioflinger_hook.fit.curve import REFERENCE_HZ
-from audioflinger_hook.fit.session import FIRST, SECOND, UNKNOWN, Trial
+from audioflinger_hook.fit.session import FIRST, SECOND, TRIALS_MOST, UNKNOWN, Trial
 from audioflinger_hook.service.status import ExposureFigures
 from audioflinger_hook.trials import page
 from audioflinger_hook.trials.page import Answer, Answers, Choice, Kind, Question
@@ -39,6 +39,7 @@ ASKED = Question(
     "Which vibration was stronger?",
     choices=CHOICES,
     also=(page.AGAIN, replace(page.UNKNOWN, value=UNKNOWN)),
+    total=TRIALS_MOST,
 )
 
 

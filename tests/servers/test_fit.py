@@ -70,3 +70,27 @@ def test_a_person_at_the_terminal_is_fitted_and_kill_9_loses_no_answer(pipewire,
     true = np.interp(np.log2([*map(float, done["curve_db"])]), np.log2([*CURVE]), [*CURVE.values()])
     error = found - true
     assert np.sqrt(np.mean((error - error.mean()) ** 2)) < 2.5
+
+
+def test_ctrl_c_stops_a_trial_with_a_fade_and_keeps_the_record(pipewire, tmp_path):
+    env = {**environment(pipewire), "XDG_STATE_HOME": str(tmp_path)}
+    with (
+        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+        Terminal("fit", "--device", "sink:haptic", env=env) as terminal,
+    ):
+        terminal.expect("a again)")
+        for _ in range(5):
+            terminal.press(b"+")
+            terminal.expect("a again)")
+        before = len(felt())
+        terminal.press(b"a")
+        wait_for(
+            lambda: np.abs(felt()[before:][-RATE_HZ // 20 :]).max(initial=0.0) > 0.01, "vibration"
+        )
+        terminal.press(b"\x03")
+        assert terminal.wait() == 130
+        faded = felt()[before:, 0]
+    last = np.flatnonzero(np.abs(faded) > 1e-4)[-1]
+    assert last < 0.6 * RATE_HZ + np.flatnonzero(np.abs(faded) > 1e-4)[0]
+    assert np.abs(np.diff(faded)).max() < 1.3 * np.abs(faded).max() * 2.0 * np.pi * 70.0 / RATE_HZ
+    assert (tmp_path / "cushion/fit/sink-haptic.jsonl").read_bytes().count(b"\n") == 1
