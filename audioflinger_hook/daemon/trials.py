@@ -27,7 +27,7 @@ from device.stream.pcms import Pcm, ServerDevice
 from device.stream.streams import PlaybackStream
 from device.units import Float32Array
 
-BLOCK_FRAMES = 1_024
+BLOCK_FRAMES = 2_048
 BEGINS_S = 2.0  # a trial that has not begun by then is lost
 POLL_S = 0.01
 LOST_S = 0.3  # from a loss to the answer; the sound fades out meanwhile
@@ -142,7 +142,7 @@ class Trials:
         path_s = own_s + self._alignment.offset.vibration_s + self._alignment.felt_s
         meter, stopped = TrialMeter(chain), False
         sound = self._playing = TrialSound(frames, lead_s)
-        asked_s = time.monotonic()
+        asked_s, lost_blocks = time.monotonic(), self._lost_blocks()
         until_s = math.inf
         while not sound.is_over((now_s := time.monotonic()) - path_s - AFTER_S) and now_s < until_s:
             if sound.stops:
@@ -152,6 +152,8 @@ class Trials:
             lost = lost or self.why_not()
             if native.chain is not chain:
                 lost = lost or "the native engine was replaced"
+            if self._lost_blocks() != lost_blocks:
+                lost = lost or "a block came too late; close other programs"
             if sound.began_s is None and now_s > asked_s + BEGINS_S:
                 lost = lost or "the stream of the trial stands still"
             if lost and until_s == math.inf:
@@ -165,6 +167,10 @@ class Trials:
             "stopped": stopped,
             **meter.result(sound.played / RATE_HZ - abs(lead_s)),
         }
+
+    def _lost_blocks(self) -> int:
+        stream = self._stream
+        return stream.xruns + stream.silenced + stream.errors.total() if stream else -1
 
     def _fill(self, out: Float32Array, now_s: float) -> None:
         sound, stream = self._playing, self._stream

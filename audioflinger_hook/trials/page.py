@@ -121,8 +121,8 @@ def play_whole(
             if not played.stopped:
                 return played
         except NotPlayedError as error:
-            lost = f"The trial is played again as soon as possible. ({error})"
-            answers.show(Question(Kind.PLAYING, "The device is away", (lost,)))
+            lost = f"The trial is played again as soon as possible: {error}."
+            answers.show(Question(Kind.PLAYING, "One moment", (lost,)))
             while not player.wait(DEVICE_S):
                 answers.wait()
 

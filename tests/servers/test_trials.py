@@ -162,7 +162,7 @@ def test_a_trial_whose_device_is_unplugged_was_not_played_and_is_played_when_it_
             1.0, pipewire.pactl, ("unload-module", pipewire._modules["haptic"])
         )
         unplugging.start()
-        with pytest.raises(NotPlayedError, match="not played: waiting-for-device: .*haptic"):
+        with pytest.raises(NotPlayedError, match=r"not played: waiting-for-device: .*haptic"):
             player.play(long, long)
         unplugging.join()
         assert not player.wait(0.2)
