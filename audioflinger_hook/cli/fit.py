@@ -53,27 +53,28 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"minutes={options.minutes:g} is out of range; allowed: 1 to 10")
     trials_most = min(TRIALS_MOST, int(TRIALS_A_MINUTE * options.minutes))
     with ExitStack() as stack:
-        device, about = "", {"seed": options.seed, "trials_most": trials_most}
         if options.simulate:
-            if options.device or options.page:
-                raise UsageError("--simulate needs no device and no page; leave them out")
+            if options.page:
+                raise UsageError("--simulate answers itself; leave out --page")
             simulated = read_sitter(options.simulate)
-            about["sitter"] = repr(simulated)
+            device = str(parse_device(options.device)) if options.device else ""
+            about = {"seed": options.seed, "trials": trials_most, "sitter": repr(simulated)}
         else:
             device = stack.enter_context(_daemon(options)).device.address
-            about = {"device": device}
+            about = {}
         name = options.name or fits.name_for(device)
         path = fits.path_of(name).with_suffix(".jsonl")
         if options.new:
             path.unlink(missing_ok=True)
         header = {"seed": secrets.randbits(32) if options.seed is None else options.seed}
+        design = design_of(device=device, **about)
         try:
-            record = TrialRecord(path, design_of(**about), header=header)
+            record = TrialRecord(path, design, header=header)
         except OtherDesignError:
             if not options.simulate:
                 raise
             path.unlink()
-            record = TrialRecord(path, design_of(**about), header=header)
+            record = TrialRecord(path, design, header=header)
         stack.enter_context(record)
         resumed = len(record.trials)
         if resumed and not options.json:
