@@ -166,7 +166,7 @@ class _Reading:
                 section = next(k.section for k in KEYS if (k.owner, k.field) == (owner, name))
                 self._add(f"{section}.{name}" if section else name, refusal)
         chosen = self.accepted[TransformParameters]
-        is_chosen = "fit" in chosen or (TransformParameters, "fit") in self.refused
+        is_chosen = bool(chosen.get("fit")) or (TransformParameters, "fit") in self.refused
         if chosen.get("strength") == "fit" and not is_chosen and not fits.names():
             self._add("transform.strength", Refusal("needs a fit", "flat, felt, rig; " + fits.MAKE))
         for number, rule in enumerate(self.arrays[APPLICATION], 1):

@@ -46,7 +46,7 @@ class FitName(FitText):
     def refuse(self, value: object) -> Refusal | None:
         """Return why the fit cannot be used; None if the value is allowed."""
         refusal = super().refuse(value)
-        if refusal or ":" in str(value):
+        if refusal or not value or ":" in str(value):
             return refusal
         try:
             fits.read(str(value))

@@ -27,8 +27,8 @@ class FitText(Text):
     grammar: str = "the name of a fit; `cushion fit list` shows them"
 
     def refuse(self, value: object) -> Refusal | None:
-        """Refuse what is neither a name nor a curve."""
-        if isinstance(value, str) and re.fullmatch(FIT_NAME, value):
+        """Refuse what is neither a name nor a curve; "" is the default."""
+        if value == "" or (isinstance(value, str) and re.fullmatch(FIT_NAME, value)):
             return None
         is_curve = isinstance(value, str) and re.fullmatch(f"{FIT_POINT}(,{FIT_POINT})+", value)
         if is_curve and sorted({hz for hz, _ in fit_points(value)}) == [

@@ -129,7 +129,10 @@ def test_a_record_has_one_design_and_one_user_and_survives_a_full_disk(tmp_path)
             signal.signal(signal.SIGXFSZ, before)
         assert path.read_bytes().endswith(b'{"trial":0}\n')
         record.append({"trial": 1})
+    whole = path.read_bytes()
+    path.write_bytes(whole + b'{"trial":')
     with TrialRecord(path, design_of(device="a")) as record:
+        assert path.read_bytes() == whole
         assert (record.trials, record.header["seed"]) == ([{"trial": 0}, {"trial": 1}], 1)
     with pytest.raises(OtherDesignError):
         TrialRecord(path, design_of(device="b"))
@@ -249,15 +252,15 @@ def test_gains_are_cut_at_12_db_and_without_loudness_control_never_above_0():
 QUIET = Played(0.0, 0.0, 1.0, False, -20.0, -30.0, 0.0, 0, None, None)
 
 
-class Played3Db:
-    """A player whose protection lowers the first trial, and which keeps what it played."""
+class Protecting:
+    """A player that keeps what it played, and whose protection limits one of the trials."""
 
     def __init__(self):
-        self.files, self.protections_db = [], [3.0]
+        self.files = []
 
     def play(self, sound, vibration):
         self.files.append(np.load(vibration))
-        return replace(QUIET, protection_db=(self.protections_db or [0.0]).pop())
+        return replace(QUIET, protection_db=3.0 * (len(self.files) == 4))
 
     def stop(self):
         pass
@@ -280,13 +283,14 @@ class Keys:
 
 
 def test_the_level_starts_low_is_raised_by_the_person_and_lowered_by_protection():
-    player = Played3Db()
+    player = Protecting()
     said = ["softer", "louder", "louder", "again", *["louder"] * 99, "good", "again", FIRST]
     with Person(player, Keys(*said), lambda: None) as person:
         person.choose_level()
         answer = person.answer(Trial(0, 0, person.headroom_db, test_first=True))
     peaks_db = [20.0 * np.log10(np.abs(frames).max()) for frames in player.files]
-    assert peaks_db[0] == pytest.approx(START_DBFS, abs=0.1)
+    raised_db = np.array(peaks_db[:7]) - START_DBFS
+    assert raised_db == pytest.approx([0.0, 0.0, 3.0, 6.0, 3.0, 6.0, 9.0], abs=0.1)
     assert max(peaks_db) <= PEAK_DBFS
     assert answer == {"answer": FIRST, "again": 1, "reference_dbfs": -12.0}
 
@@ -294,6 +298,6 @@ def test_the_level_starts_low_is_raised_by_the_person_and_lowered_by_protection(
 def test_a_fit_ends_at_half_of_an_exposure_action_value():
     read = ExposureFigures(1.0, 0.0, 0.26, 0.0, False, False, 0.0)
     limited = pytest.raises(UsageError, match="half of the action value")
-    with Person(Played3Db(), Keys(), lambda: read) as person, limited:
+    with Person(Protecting(), Keys(), lambda: read) as person, limited:
         person.choose_level()
     assert tones((25.0, -20.0)).size == round(0.7 * RATE_HZ)
