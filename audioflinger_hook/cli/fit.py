@@ -222,17 +222,21 @@ def _person(options: argparse.Namespace, record: TrialRecord) -> Iterator[Sitter
 @contextmanager
 def _daemon(options: argparse.Namespace) -> Iterator[Status]:
     """Yield the status of the daemon that plays to the device; start one if none runs."""
+    wanted, status = str(parse_device(options.device)) if options.device else "", None
+    with suppress(NotFoundError):
+        status = ask_status(ANSWER_S, time.monotonic)
+    if status is None and not wanted and not config.names_a_device():
+        raise UsageError(
+            "no device to fit: name one with --device, see `cushion devices`, or try a simulated "
+            "person with --simulate SITTER.json"
+        )
     if not options.page and not (sys.stdin and sys.stdin.isatty()):
         raise UsageError(
             "fit asks questions, but its input is not a terminal; run it in a terminal, or with "
             "--page, or try it with --simulate SITTER.json"
         )
-    wanted = str(parse_device(options.device)) if options.device else ""
     with ExitStack() as stack:
-        try:
-            status = ask_status(ANSWER_S, time.monotonic)
-        except NotFoundError:
-            status = _started(wanted, stack)
+        status = status or _started(wanted, stack)
         if wanted and status.device.address != wanted:
             raise UsageError(
                 f"the daemon plays to {status.device.address}, not to {wanted}; stop it, or leave "
@@ -243,11 +247,6 @@ def _daemon(options: argparse.Namespace) -> Iterator[Status]:
 
 def _started(device: str, stack: ExitStack) -> Status:
     """Start a daemon, which ends with the stack, and return its status once it plays."""
-    if not device and not config.names_a_device():
-        raise UsageError(
-            "no device to fit: name one with --device, see `cushion devices`, or try a simulated "
-            "person with --simulate SITTER.json"
-        )
     command = [*own_command(), "run", *(["--device", device] if device else [])]
     child = started(command)
     stack.callback(child.wait)

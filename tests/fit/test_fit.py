@@ -32,7 +32,8 @@ CURVE = {"25": -15.0, "40": -4.0, "70": 0.0, "100": 5.0, "200": -7.0}
 @pytest.fixture
 def state(tmp_path, monkeypatch):
     """The folder of fits of a user who has none yet."""
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    for name in ("XDG_STATE_HOME", "XDG_CONFIG_HOME", "XDG_RUNTIME_DIR"):
+        monkeypatch.setenv(name, str(tmp_path))
     return tmp_path / "cushion/fit"
 
 
@@ -167,7 +168,8 @@ def test_all_mistakes_of_a_sitter_are_said_at_once(state, person, facts, said):
         (["compare", "a"], "takes 2 to 4 names"),
         (["show", "a"], "no fit 'a'"),
         (["undo", "../a"], "cannot be named"),
-        ([], "not a terminal"),
+        ([], "no device to fit: name one with --device"),
+        (["--device", "sink:a"], "not a terminal"),
     ],
 )
 def test_wrong_usage_is_refused_in_one_line(state, arguments, said):
