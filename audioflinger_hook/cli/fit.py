@@ -207,7 +207,7 @@ def _person(options: argparse.Namespace, record: TrialRecord) -> Iterator[Sitter
             raise LostError(f"the daemon plays no trials: {player.why_not}")
         answers: Answers
         if options.page:
-            answers = stack.enter_context(closing(PageAnswers(player.stop, tell)))
+            answers = stack.enter_context(closing(PageAnswers(player.stop, tell, time.time)))
         else:
             answers = TerminalAnswers(stack.enter_context(pressed_keys()))
         known = record.trials[-1]["reference_dbfs"] if record.trials else None

@@ -7,7 +7,6 @@ protection and exposure of the chain apply to it as to any vibration.
 
 import math
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -40,7 +39,8 @@ class Trials:
     """Plays one trial at a time while a client has a session open.
 
     `maintain` and `close` are for the main thread, the other methods for the client's thread.
-    pcm: plays the stream. folder: has the files of trials. ring: wakes the main thread.
+    pcm: plays the stream. folder: has the files of trials. now_s: returns time.monotonic().
+    ring: wakes the main thread.
     """
 
     def __init__(
@@ -50,11 +50,12 @@ class Trials:
         engines: Engines,
         alignment: Alignment,
         states: StateKeeper,
+        now_s: Callable[[], float],
         ring: Callable[[], None],
     ) -> None:
         self._pcm, self._folder = pcm, folder
         self._engines, self._alignment = engines, alignment
-        self._states, self._ring = states, ring
+        self._states, self._now_s, self._ring = states, now_s, ring
         self._session = threading.Lock()
         self._backoff = Backoff()
         self._stream: PlaybackStream | None = None
@@ -141,12 +142,13 @@ class Trials:
         lead_s = self._alignment.offset.lead_s(own_s, transform_s)
         path_s = own_s + self._alignment.offset.vibration_s + self._alignment.felt_s
         meter, stopped = TrialMeter(chain), False
+        pause = threading.Event()
         sound = self._playing = TrialSound(frames, lead_s)
-        asked_s, lost_blocks = time.monotonic(), self._lost_blocks()
+        asked_s, lost_blocks = self._now_s(), self._lost_blocks()
         until_s = math.inf
-        while not sound.is_over((now_s := time.monotonic()) - path_s - AFTER_S) and now_s < until_s:
+        while not sound.is_over((now_s := self._now_s()) - path_s - AFTER_S) and now_s < until_s:
             if sound.stops:
-                time.sleep(POLL_S)
+                pause.wait(POLL_S)
             elif ends(POLL_S):
                 stopped = sound.stops = True
             lost = lost or self.why_not()

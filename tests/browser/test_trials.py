@@ -1,10 +1,12 @@
 """Trials through the page in a real browser: played by a daemon on a server, answered by clicks."""
 
+import queue
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -13,8 +15,6 @@ import numpy as np
 import pytest
 import soundfile
 
-from audioflinger_hook.monitor.access import new_code
-from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from audioflinger_hook.trials.page import (
     AGAIN,
     FIRST,
@@ -59,24 +59,24 @@ class Study:
         self.server, self._chromium = server, chromium
         self.player = DaemonPlayer(server.environment)
         self.errors: list[str] = []
-        addresses: list[str] = []
+        told: queue.SimpleQueue[str] = queue.SimpleQueue()
         environ = server.environment
-        self.answers = PageAnswers(self.player.stop, addresses.append, environ=environ)
+        self.answers = PageAnswers(self.player.stop, told.put, time.time, environ=environ)
         self._context = chromium.new_context()
-        self.address = wait_for(lambda: addresses and addresses[0], "the page's address")
-        self.page = self.open(self.address)
+        self.address = partial(told.get, timeout=10.0)
+        self.page = self.open()
         assert self.player.wait(10.0)
 
-    def new_address(self) -> str:
-        with RuntimeFolder(self.server.environment, create=False) as folder:
-            return f"{self.address.partition('#')[0]}#{new_code(folder, time.time())}"
-
-    def open(self, address: str) -> Any:
+    def open(self) -> Any:
         page = self._context.new_page()
         page.on("pageerror", lambda error: self.errors.append(str(error)))
-        page.on("console", lambda said: said.type == "error" and self.errors.append(said.text))
-        page.goto(address)
+        page.on("console", self._note)
+        page.goto(self.address())
         return page
+
+    def _note(self, said: Any) -> None:
+        if said.type == "error" and "WebSocket" not in said.text:  # the server may be away
+            self.errors.append(said.text)
 
     def close(self) -> None:
         self.answers.close()
@@ -105,14 +105,15 @@ def chromium(server: SoundServer) -> Iterator[Any]:
 def study(server, chromium):
     with closing(Study(server, chromium)) as made:
         yield made
-    assert not [one for one in made.errors if "WebSocket" not in one]
+    assert made.errors == []
 
 
 @pytest.fixture
 def wav(tmp_path) -> Callable[[Any, str], Path]:
     def written(samples: Any, name: str) -> Path:
-        soundfile.write(tmp_path / name, samples, RATE_HZ, subtype="FLOAT")
-        return tmp_path / name
+        path: Path = tmp_path / name
+        soundfile.write(path, samples, RATE_HZ, subtype="FLOAT")
+        return path
 
     return written
 
@@ -195,7 +196,7 @@ def test_a_page_closed_or_paused_in_mid_trial_stops_it_and_the_trial_is_played_a
         wait_for(lambda: np.abs(felt()[-RATE_HZ // 2 :]).max() < FELT, "silence", 1.5)
         ends = int(np.flatnonzero(np.abs(felt()[:, 0]) > FELT)[-1])
         if how == "closed":
-            study.page = study.open(study.new_address())
+            study.page = study.open()
         study.page.click("#go-on")
         played = playing.result(study.page)
     assert (played.stopped, played.seconds) == (False, pytest.approx(4.0, abs=0.01))
