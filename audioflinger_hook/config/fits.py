@@ -71,8 +71,9 @@ def read(name: str) -> Fit:
             {f"{float(hz):g}": float(db) for hz, db in known[key].items()}
             for key in ("curve_db", "uncertainty_db")
         ]
-        if [*curves[0]] != sorted(curves[0], key=float) or len(curves[0]) < 2:
-            raise ValueError("frequencies that do not ascend")
+        ascending = [*curves[0]] == sorted(curves[0], key=float) and len(curves[0]) > 1
+        if not ascending or not all(abs(level_db) < 1e3 for level_db in curves[0].values()):
+            raise ValueError("no curve")
         return Fit(
             name=name,
             device=str(known["device"]),

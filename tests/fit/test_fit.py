@@ -235,9 +235,11 @@ def test_without_a_name_the_fit_of_the_device_counts_and_a_missing_one_is_said(s
         fits.chosen(device="c")
     config.write_text('[transform]\nstrength = "fit"\nfit = "tow"\n')
     assert "no fit 'tow'" in refused(call("check", "--config", config))
-    (state / "one.toml").write_text("curve_db = 3")
-    with pytest.raises(UsageError, match="damaged"):
-        fits.read("one")
+    text = (state / "one.toml").read_text()
+    for damaged in ("curve_db = 3", text.replace("25 = 0.0", "25 = nan"), text[: len(text) // 2]):
+        (state / "one.toml").write_text(damaged)
+        with pytest.raises(UsageError, match="damaged"):
+            fits.read("one")
 
 
 def test_gains_are_cut_at_12_db_and_without_loudness_control_never_above_0():
