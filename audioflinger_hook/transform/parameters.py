@@ -30,11 +30,10 @@ class FitText(Text):
         """Refuse what is neither a name nor a curve; "" is the default."""
         if value == "" or (isinstance(value, str) and re.fullmatch(FIT_NAME, value)):
             return None
-        is_curve = isinstance(value, str) and re.fullmatch(f"{FIT_POINT}(,{FIT_POINT})+", value)
-        if is_curve and sorted({hz for hz, _ in fit_points(value)}) == [
-            hz for hz, _ in fit_points(value)
-        ]:
-            return None
+        if isinstance(value, str) and re.fullmatch(f"{FIT_POINT}(,{FIT_POINT})+", value):
+            hz = [hz for hz, _ in fit_points(value)]
+            if hz == sorted({*hz}):
+                return None
         return Refusal("is not the name of a fit", self.allowed)
 
     def json_schema(self) -> dict[str, Any]:

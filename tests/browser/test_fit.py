@@ -5,6 +5,7 @@ import re
 import tempfile
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,7 +26,8 @@ class Fit:
 
     def __init__(self, env, chromium):
         asked = ("fit", "--device", "sink:haptic", "--page", "--minutes", "1", "--json")
-        self.process, self.said = start(*asked, env=env), []
+        self.process: Any = start(*asked, env=env)
+        self.said: list[str] = []
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
         found = wait_for(
@@ -36,6 +38,14 @@ class Fit:
 
     def _read(self):
         self.said.extend(iter(self.process.stderr.readline, ""))
+
+    def close(self):
+        self.page.close()
+        self.process.kill()
+        self.process.wait()
+        self._reader.join()
+        for stream in (self.process.stdout, self.process.stderr):
+            stream.close()
 
     def click(self, question, name):
         title = self.page.locator("h1", has_text=question)
@@ -65,8 +75,7 @@ def test_clicks_on_the_page_give_a_fit_and_kill_9_loses_none(tmp_path):
         answer(KILLED_AFTER)
         record = tmp_path / "cushion/fit/sink-haptic.jsonl"
         wait_for(lambda: record.read_bytes().count(b"\n") > KILLED_AFTER, "the last answer")
-        fit.process.kill()
-        fit.process.wait()
+        fit.close()
         kept = record.read_bytes()
         fit = Fit(env, chromium)
         answer(TRIALS - KILLED_AFTER - 1)
@@ -74,6 +83,7 @@ def test_clicks_on_the_page_give_a_fit_and_kill_9_loses_none(tmp_path):
         fit.page.get_by_role("button", name={b"1": "First", b"2": "Second"}[key_for(felt)]).click()
         done = json.loads(fit.process.stdout.read())
         assert fit.process.wait() == 0
+        fit.close()
     assert (done["accepted"], done["trials"]) == (True, TRIALS)
     assert done["resumed_trials"] == KILLED_AFTER
     assert record.with_suffix(".last.jsonl").read_bytes().startswith(kept)
