@@ -1,23 +1,48 @@
 """Plays trials: the daemon plays sound and vibration, so that one audio clock has both."""
 
+import json
+import os
+import select
+import socket
+import time
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
+
+import numpy as np
+from scipy.signal import resample_poly
+
+from audioflinger_hook.daemon.trial_sound import COLUMNS, RATE_HZ
+from audioflinger_hook.service.runtime_folder import RuntimeFolder
+from audioflinger_hook.service.status_client import NO_DAEMON
+from audioflinger_hook.service.status_server import NAME, PROTOCOL
+from audioflinger_hook.sources.file import FileTap
+from device.drive.exposure import DoseSums
+from device.errors import InternalError, LostError, NotFoundError, UsageError, WriteError
+from device.units import Float32Array
+
+ANSWER_S = 5.0  # longest wait for the daemon, in addition to the trial
+ASK_S = 0.1  # between two questions whether the daemon is ready
+
+
+class NotPlayedError(LostError):
+    """The device or the server was lost, or is not ready; offer the trial again after `wait`."""
 
 
 @dataclass(frozen=True)
 class Played:
-    """What the daemon played. All times are in seconds of the audio clock (CLOCK_MONOTONIC).
+    """What the daemon played. Times are in seconds of the audio clock (CLOCK_MONOTONIC).
 
     sound_began_s, vibration_began_s: when the first frame is heard and felt; None without this
-    file. vibration_began_s - sound_began_s is the asynchrony that the daemon expects, after its
-    offset: 0 if both files begin together.
+    file. Both are equal: the daemon aligns them by its offset.
     seconds: duration that was played. stopped: whether `stop` ended it early, with a fade.
-    peak_dbfs, level_dbfs: peak and r.m.s. of the vibration as sent to the device, that is after
-    gain, damping and protection, over the duration; -inf for silence.
-    protection_db: largest attenuation by protection, 0 or more. limited: number of samples cut at
-    full scale.
-    exposure_m_s175: vibration dose that the trial added, m/s^1.75 of the rig; None without a rig.
+    peak_dbfs, level_dbfs: peak, and r.m.s. over the duration, of the strongest actuator's signal:
+    the vibration as sent to the device, after gain, damping and protection; at least -150.
+    protection_db: largest attenuation by protection that was seen, 0 or more. limited_blocks:
+    number of blocks of 2 ms in which protection limited the vibration.
+    dose: vibration dose that the trial added; None without a rig.
     """
 
     sound_began_s: float | None
@@ -27,12 +52,12 @@ class Played:
     peak_dbfs: float
     level_dbfs: float
     protection_db: float
-    limited: int
-    exposure_m_s175: float | None
+    limited_blocks: int
+    dose: DoseSums | None
 
 
 class Player(Protocol):
-    """Plays one trial at a time. The tapped sound is not felt while the player is open.
+    """Plays one trial at a time. While it is open, tapped sound is not felt.
 
     `DaemonPlayer` asks the running daemon. A test or a simulation may give its own.
     """
@@ -40,14 +65,14 @@ class Player(Protocol):
     def play(self, sound: Path | None, vibration: Path | None) -> Played:
         """Play both files from their first frames on; return after the end.
 
-        sound: WAV of 1 to 8 channels for the default output, or None. vibration: WAV of one channel
-        at any rate, or a .npy file of mono float32 at 48 kHz, in shares of full scale before the
-        config's gain; or None. The first and last 50 ms of both are faded. Files of a trial begin
-        together; an asynchrony is silence at the beginning of one of them.
+        sound: file of 1 or 2 channels for the default output, or None. vibration: file of one
+        channel, or a .npy file of mono float32 at 48 kHz, in shares of full scale before the
+        config's gain; or None. Both get raised-cosine ends of 50 ms. An asynchrony of a study is
+        silence at the beginning of one of the files; both together take at most 120 s.
 
-        NotPlayedError: the device or the server was lost, or is not there; the trial counts as not
-        played. Call `wait`, then offer it again. UsageError: a file is missing, too long or not
-        readable. NotFoundError: no daemon runs.
+        NotPlayedError: the device or the server was lost, or is not ready. The trial counts as not
+        played: call `wait`, then offer it again. UsageError: a file is not usable. NotFoundError:
+        no daemon runs. LostError, InternalError: the daemon has ended or does not answer.
         """
         ...
 
@@ -55,10 +80,148 @@ class Player(Protocol):
         """End the trial that plays with a fade of 50 ms. Any thread; without a trial, nothing."""
         ...
 
-    def wait(self, timeout_s: float) -> bool:
-        """Wait until the daemon can play; return whether it can."""
+    def wait(self, timeout_s: float) -> str:
+        """Wait until the daemon can play a trial; return "", or after the time, why it cannot."""
         ...
 
     def close(self) -> None:
-        """End the trial that plays; the tapped sound is felt again. May be repeated."""
+        """End the trial that plays; tapped sound is felt again. May be repeated."""
         ...
+
+
+class DaemonPlayer:
+    """Plays trials through this user's daemon; implements `Player`.
+
+    NotFoundError: no daemon runs. UsageError: another program plays trials.
+    """
+
+    def __init__(self, environ: Mapping[str, str] = os.environ) -> None:
+        self._lines = b""
+        self._plays = False
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            self._folder = RuntimeFolder(environ, create=False)
+            self._socket.connect(self._folder.address(NAME))
+        except (NotFoundError, FileNotFoundError, ConnectionRefusedError) as error:
+            self._socket.close()
+            raise NotFoundError(NO_DAEMON) from error
+        self._file = self._folder.path / f"trial-{os.getpid()}.npy"
+        try:
+            self._say({"ask": "trials", "protocol": PROTOCOL})
+            self._ready()
+        except BaseException:
+            self.close()
+            raise
+
+    def play(self, sound: Path | None, vibration: Path | None) -> Played:
+        """Play both files; see `Player`."""
+        frames = mixed(sound, vibration)
+        try:
+            np.save(self._file, frames)
+        except OSError as error:
+            raise WriteError(f"cannot write {self._file}: {error.strerror}") from error
+        self._plays = True
+        try:
+            self._say({"play": self._file.name})
+            answer = self._heard(len(frames) / RATE_HZ + 2.0 * ANSWER_S)
+        finally:
+            self._plays = False
+            self._file.unlink(missing_ok=True)
+        if "lost" in answer:
+            raise NotPlayedError(f"the trial was not played: {answer['lost']}")
+        began_s, dose = answer.pop("began_s"), answer.pop("dose")
+        return Played(
+            None if sound is None else began_s,
+            None if vibration is None else began_s,
+            dose=None if dose is None else DoseSums(**dose),
+            **answer,
+        )
+
+    def stop(self) -> None:
+        """End the trial that plays with a fade."""
+        if self._plays:
+            with suppress(LostError):
+                self._say({"stop": True})
+
+    def wait(self, timeout_s: float) -> str:
+        """Wait until the daemon can play a trial; see `Player`."""
+        end_s = time.monotonic() + timeout_s
+        while (why := self._ready()) and time.monotonic() < end_s:
+            time.sleep(ASK_S)
+        return why
+
+    def close(self) -> None:
+        """End the session with the daemon. May be repeated."""
+        self._socket.close()
+        self._folder.close()
+
+    def _ready(self) -> str:
+        self._say({"ready": True})
+        return str(self._heard(ANSWER_S).get("why", ""))
+
+    def _say(self, document: dict[str, Any]) -> None:
+        try:
+            self._socket.sendall(json.dumps(document).encode() + b"\n")
+        except OSError as error:
+            raise LostError(_ENDED) from error
+
+    def _heard(self, timeout_s: float) -> dict[str, Any]:
+        """Return the daemon's next line. UsageError: the daemon refuses the request."""
+        end_s = time.monotonic() + timeout_s
+        while b"\n" not in self._lines:
+            left_s = max(0.0, end_s - time.monotonic())
+            try:
+                if not select.select([self._socket], [], [], left_s)[0]:
+                    raise InternalError("the daemon does not answer; restart it")
+                received = self._socket.recv(65_536)
+            except (OSError, ValueError):  # ValueError: `close` was called
+                received = b""
+            if not received:
+                raise LostError(_ENDED)
+            self._lines += received
+        line, _, self._lines = self._lines.partition(b"\n")
+        answer: dict[str, Any] = json.loads(line)
+        if "error" in answer:
+            raise UsageError(f"the daemon refuses the trial: {answer['error']}")
+        return answer
+
+
+_ENDED = "the daemon has ended; start it again with `cushion run`, and repeat the command"
+
+
+def mixed(sound: Path | None, vibration: Path | None) -> Float32Array:
+    """Return a trial's frames for the daemon, (frames, COLUMNS) at 48 kHz; the shorter file ends.
+
+    UsageError: a file is not usable, or neither is given.
+    """
+    if sound is None and vibration is None:
+        raise UsageError("a trial needs a sound or a vibration")
+    heard, felt = (
+        np.zeros((0, 1), np.float32) if path is None else _read(path) for path in (sound, vibration)
+    )
+    for path, frames, most in ((sound, heard, 2), (vibration, felt, 1)):
+        if frames.shape[1] > most:
+            raise UsageError(f"{path} has {frames.shape[1]} channels; allowed: up to {most}")
+    both = np.zeros((max(len(heard), len(felt)), COLUMNS), np.float32)
+    both[: len(heard), :2] = heard
+    both[: len(felt), 2:] = felt
+    return np.clip(both, -1.0, 1.0)
+
+
+def _read(path: Path) -> Float32Array:
+    """Return a file's frames at 48 kHz, (frames, channels)."""
+    if path.suffix == ".npy":
+        try:
+            return np.load(path, allow_pickle=False).astype(np.float32).reshape(-1, 1)
+        except (OSError, ValueError, EOFError) as error:
+            raise UsageError(f"{path} is no array of numbers ({error})") from None
+    tap, parts = FileTap(path), []
+    try:
+        while (part := tap.read()) is not None:
+            parts.append(part)
+    finally:
+        tap.close()
+    frames = np.concatenate(parts)
+    if tap.samplerate != RATE_HZ:
+        frames = resample_poly(frames, RATE_HZ, tap.samplerate, axis=0).astype(np.float32)
+    return frames
