@@ -9,7 +9,7 @@ one with the least expected entropy, the rule of QUEST+ (Watson, Journal of Visi
 from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtr, xlogy
+from scipy.special import logsumexp, ndtr, softmax, xlogy
 
 from audioflinger_hook.study.design import Question
 from device.units import FloatArray
@@ -34,16 +34,19 @@ def probability(question: Question, x: FloatArray, place: FloatArray, jnd: Float
 
 
 class Curve:
-    """The grid of a question. places: locations. widths: JNDs. xs: places of the trials."""
+    """The grid of a question. places: locations. widths: JNDs. xs: places of the trials.
 
-    def __init__(self, question: Question) -> None:
+    widths_db: number of JNDs for levels; few are enough to choose the next level.
+    """
+
+    def __init__(self, question: Question, widths_db: int = 7) -> None:
         if question.paradigm == "synchrony":
             self.xs = np.array(sorted(question.offsets_ms))
             self.places, self.widths = np.linspace(-150, 150, 76), np.geomspace(8, 400, 40)
         else:
             low, high = question.lowest_db, question.highest_db
             self.xs = np.arange(low, high + 0.5)
-            self.places, self.widths = np.arange(low, high + 0.5), np.geomspace(0.5, 8.0, 7)
+            self.places, self.widths = np.arange(low, high + 0.5), np.geomspace(0.4, 8.0, widths_db)
         grid = np.meshgrid(self.places, self.widths, LAPSES, indexing="ij")
         place, width, lapse = (axis.ravel() for axis in grid)
         self._grid = place, width
@@ -67,10 +70,26 @@ class Curve:
         return np.asarray(weight / weight.sum(axis=-1, keepdims=True))
 
     def estimate(self, yes: FloatArray, no: FloatArray) -> FloatArray:
-        """Return the means of place and width (in logarithms), (..., 2), for counts of answers."""
+        """Return the means of place and width (in logarithms), (2,), for counts of answers."""
         weight = self.posterior(yes, no)
         place, width = self._grid
-        return np.stack([weight @ place, np.exp(weight @ np.log(width))], axis=-1)
+        return np.array([weight @ place, np.exp(weight @ np.log(width))])
+
+    def given_width(self, yes: FloatArray, no: FloatArray) -> FloatArray:
+        """Return log likelihood and mean of the place for each width and lapse, (2, cells)."""
+        log = (yes @ self._log_yes + no @ self._log_no).reshape(len(self.places), -1)
+        total = logsumexp(log, axis=0)
+        return np.stack([total, self.places @ np.exp(log - total)])
+
+    def joined(self, given: FloatArray, people: int) -> FloatArray:
+        """Return place and width, (..., 2), if all people have one width and lapse.
+
+        given: means over people of what `given_width` returns, (..., 2, cells).
+        """
+        weight = softmax(people * given[..., 0, :], axis=-1)
+        log_widths = np.repeat(np.log(self.widths), len(LAPSES))
+        place = (weight * given[..., 1, :]).sum(axis=-1)
+        return np.stack([place, np.exp(weight @ log_widths)], axis=-1)
 
     def next_x(self, yes: FloatArray, no: FloatArray) -> float:
         """Return the place at which the next answer tells most. yes, no: counts, (xs,)."""

@@ -121,7 +121,7 @@ class Study(Described):
     consent: Annotated[str, Text("text that participants agree to")] = "I take part voluntarily."
     level_db: Annotated[
         float, Number("level, relative to a full-scale sine of 80 Hz", -60, 0, "dB")
-    ] = -12.0
+    ] = -25.0
     masking_db: Annotated[
         float | None, Number("pink noise over the sound", -80, -10, "dBFS", word="off")
     ] = None

@@ -74,12 +74,13 @@ def estimate(measured: Measured, seed: int) -> Estimate:
         lows, highs = np.quantile(drawn, (tail, 1.0 - tail), axis=0) - 2.0 * bias
         values = values - bias
     shown = [np.clip(one, measured.low, measured.high) for one in (values, lows, highs)]
-    p, p_of = _tested(measured.scores, measured.tests)
+    p, p_of = tested_scores(measured)
     return Estimate(measured.names, measured.unit, n, *shown, p, p_of)
 
 
-def _tested(scores: FloatArray, names: Sequence[str]) -> tuple[float | None, dict[str, float]]:
+def tested_scores(measured: Measured) -> tuple[float | None, dict[str, float]]:
     """Return p of Hotelling's test that all means are 0, and p of each t test after Holm."""
+    scores, names = measured.scores, measured.tests
     n, d = scores.shape
     if d == 0 or n <= d + 1:
         return None, {}
@@ -182,27 +183,42 @@ def counts(
     return found
 
 
-def _curves(question: Question, people: Sequence[Answered]) -> Measured:
-    curve = Curve(question)
-    is_synchrony = question.paradigm == "synchrony"
-    names = [pair[0] for pair in question.pairs]
-    features = np.zeros((len(people), len(names), 2))
+def _synchrony(question: Question, people: Sequence[Answered]) -> Measured:
+    curve, names = Curve(question), list(question.conditions)
+    features = np.zeros((len(people), 2, len(names)))
     for k, rows in enumerate(people):
         found = counts(question, curve, rows)
         for c, name in enumerate(names):
             sounds = [one for (condition, _), one in found.items() if condition == name]
-            sounds = [np.sum(sounds, axis=0)] if is_synchrony else sounds
-            each = [curve.estimate(yes, no) for yes, no in sounds]
-            features[k, c] = np.mean(each, axis=0)
-    place = {"synchrony": "PSS", "threshold": "threshold", "equal": "equal strength"}
-    labels = [f"{place[question.paradigm]}, {name}" for name in names]
-    scores, tests = features[:, :, 0], labels
+            features[k, :, c] = curve.estimate(*np.sum(sounds, axis=0))
+    labels = [f"{what}, {name}" for what in ("PSS", "JND") for name in names]
+    flat, tests = features.reshape(len(people), -1), labels[: len(names)]
+    return Measured(labels, "ms", flat, lambda mean: mean, features[:, 0], tests)
+
+
+def _levels(question: Question, people: Sequence[Answered]) -> Measured:
+    # A person's few adaptive trials tell little about the width, so that all people share it.
+    curve, names = Curve(question, 21), [pair[0] for pair in question.pairs]
+    each = []
+    for rows in people:
+        found = counts(question, curve, rows)
+        sounds = [[curve.given_width(*found[key]) for key in found if key[0] == n] for n in names]
+        each.append([[np.sum(s, axis=0)[0], np.mean(s, axis=0)[1]] for s in sounds])
+    features = np.array(each)  # (people, conditions, 2, cells)
+    n = len(people)
+
+    def statistic(mean: FloatArray) -> FloatArray:
+        return curve.joined(mean, n).swapaxes(1, 2).reshape(len(mean), -1)
+
+    what = "threshold" if question.paradigm == "threshold" else "equal strength"
+    labels = [f"{one}, {name}" for one in (what, "JND") for name in names]
+    own = features.copy()
+    own[:, :, 0] = features[:, :, 0].mean(axis=0)
+    scores, tests = curve.joined(own, n)[:, :, 0], labels[: len(names)]
     if question.paradigm == "threshold":  # no single threshold is tested, but differences
         scores = scores[:, :1] - scores[:, 1:]
         tests = [f"{names[0]} over {name}" for name in names[1:]]
-    labels = labels + [f"JND, {name}" for name in names]
-    unit, flat = "ms" if is_synchrony else "dB", features.swapaxes(1, 2).reshape(len(people), -1)
-    return Measured(labels, unit, flat, lambda mean: mean, scores, tests)
+    return Measured(labels, "dB", features, statistic, scores, tests)
 
 
 def _identification(question: Question, people: Sequence[Answered]) -> Measured:
@@ -255,8 +271,8 @@ def truth(question: Question, people: People) -> FloatArray:
 _MEASURES = {
     "preference": _preference,
     "rating": _rating,
-    "synchrony": _curves,
-    "threshold": _curves,
-    "equal": _curves,
+    "synchrony": _synchrony,
+    "threshold": _levels,
+    "equal": _levels,
     "identification": _identification,
 }

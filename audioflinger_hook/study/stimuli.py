@@ -21,7 +21,7 @@ from scipy.signal import sosfilt
 from audioflinger_hook.baselines import BASELINES
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.render import render_file
-from audioflinger_hook.study.design import NONE, Design
+from audioflinger_hook.study.design import GAP_S, NONE, Design
 from audioflinger_hook.study.trials import Trial
 from device.drive.exposure import wk_sections
 from device.errors import UsageError
@@ -29,7 +29,7 @@ from device.units import FloatArray, amplitude_to_db
 from device.wav_output import WavOutput
 
 FOLDER = "stimuli"  # in the study's folder; it can be deleted, and is made again
-REFERENCE_HZ, PEAK_MAX, EDGE_S = 80.0, 0.98, 0.05
+REFERENCE_HZ, PEAK_MAX = 80.0, 0.98
 SILENT = 1e-6  # r.m.s. of a vibration that counts as none
 
 
@@ -61,13 +61,11 @@ class Stimuli:
 
     @cached_property
     def pad_s(self) -> float:
-        """Silence before and after each sound, in s: the longest delay, and 50 ms for fades."""
-        delays = [one.delay_ms for one in self._design.conditions.values()]
+        """Silence before and after each sound, in s: half the gap, and the longest delay."""
+        delays = [abs(one.delay_ms) for one in self._design.conditions.values()]
         questions = [q for q in self._design.questions.values() if q.paradigm == "synchrony"]
-        offsets = [ms for question in questions for ms in question.offsets_ms]
-        return EDGE_S + max([abs(ms) for ms in delays], default=0.0) / 1e3 + (
-            max([abs(ms) for ms in offsets], default=0.0) / 1e3
-        )
+        offsets = [abs(ms) for question in questions for ms in question.offsets_ms]
+        return 0.5 * GAP_S + (max(delays) + max(offsets, default=0.0)) / 1e3
 
     def vibration(self, trial: Trial, interval: int) -> Vibration:
         """Return the files of an interval, 0 or 1, of a trial. UsageError: they cannot be made."""

@@ -1,0 +1,125 @@
+"""The data of a study: `data/NUMBER-CODE.jsonl` of each participant, and one table of all."""
+
+import csv
+import io
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from audioflinger_hook.study.design import Design
+from audioflinger_hook.study.trials import session
+from audioflinger_hook.trials.record import TrialRecord
+from device.atomic_file import write_bytes_atomically
+from device.errors import UsageError
+
+DATA, TABLE = "data", "trials.csv"
+CODE = re.compile(r"[A-Za-z0-9_]{1,32}")
+IN = re.compile(r"(\d{4})-([A-Za-z0-9_]{1,32})\.jsonl")
+
+
+@dataclass(frozen=True)
+class Participant:
+    """A participant with all recorded rows. number: from 0. excluded: why, or ""."""
+
+    number: int
+    code: str
+    header: Mapping[str, Any]
+    rows: list[dict[str, Any]]
+    is_complete: bool
+    excluded: str = ""
+
+
+def record_files(design: Design) -> dict[str, tuple[int, Path]]:
+    """Return number and record file of each participant by code."""
+    found = [(IN.fullmatch(path.name), path) for path in sorted((design.folder / DATA).glob("*"))]
+    return {match[2]: (int(match[1]), path) for match, path in found if match}
+
+
+@contextmanager
+def opened_record(
+    design: Design, code: str, simulated: bool, begun: str
+) -> Iterator[tuple[int, TrialRecord]]:
+    """Yield the number and the record of a new participant, or of one who goes on.
+
+    begun: time of the first beginning, for the header. UsageError: the code is not allowed, the
+    participant or the study has finished, or the record is of another design or kind.
+    """
+    if not CODE.fullmatch(code):
+        raise UsageError(f"--participant={code!r} is no code; allowed: 1 to 32 letters and digits")
+    known = record_files(design)
+    number, path = known.get(code, (max([n for n, _ in known.values()], default=-1) + 1, None))
+    people = participants(design)
+    if any(one.header.get("simulated") != simulated for one in people):
+        kinds = ("real", "simulated")[not simulated], ("real", "simulated")[simulated]
+        told = f"{design.folder / DATA} has data of {kinds[0]} people"
+        raise UsageError(f"{told}; move it away before {kinds[1]} people take part")
+    if path is None and sum(one.is_complete for one in people) >= design.study.participants:
+        raise UsageError(
+            f"the design ends after {design.study.participants} participants, and all have "
+            "finished; see the results with `cushion study report`"
+        )
+    if next((one.is_complete for one in people if one.code == code), False):
+        raise UsageError(f"participant {code} has finished already; give a new code")
+    path = path or design.folder / DATA / f"{number:04d}-{code}.jsonl"
+    header = {"participant": code, "simulated": simulated, "begun": begun}
+    with TrialRecord(path, design.digest, header=header) as record:
+        yield number, record
+
+
+def participants(design: Design) -> list[Participant]:
+    """Return all participants. UsageError: a record is damaged, or of another design."""
+    found = []
+    for code, (number, path) in record_files(design).items():
+        with TrialRecord(path, design.digest) as record:
+            rows, header = record.trials, record.header
+        is_complete = len(rows) == len(session(design, number))
+        why = _exclusion(design, rows) if is_complete else "did not finish"
+        found.append(Participant(number, code, header, rows, is_complete, why))
+    return found
+
+
+def _exclusion(design: Design, rows: list[dict[str, Any]]) -> str:
+    """Return why the design's rule excludes a participant, or ""."""
+    study, counted = design.study, [row for row in rows if not row["practice"]]
+    median_s = float(np.median([row["answered_after_s"] for row in counted]))
+    if median_s < study.fastest_s:
+        return f"median answer after {median_s:.2f} s, under {study.fastest_s:g} s"
+    for question in design.questions.values():
+        if question.paradigm == "rating":
+            own = [row for row in counted if row["question"] == question.name]
+            rated = [row["answer"] for row in own if row["condition_2"] == question.reference]
+            low = float(np.mean([one < study.reference_below for one in rated]))
+            if low > study.reference_share:
+                return (
+                    f"rated the hidden reference under {study.reference_below:g} in "
+                    f"{100 * low:.0f} % of trials, over {100 * study.reference_share:g} %"
+                )
+    return ""
+
+
+def columns() -> dict[str, str]:
+    """Return all columns of the table, and their meaning, from the codebook."""
+    text = (files("audioflinger_hook.study") / "built_in/codebook.md").read_text()
+    return dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", text, re.MULTILINE))
+
+
+def write_table(design: Design) -> Path:
+    """Write all rows to `data/trials.csv`, and `codebook.md`; return the table's path."""
+    out = io.StringIO()
+    table = csv.DictWriter(out, list(columns()), lineterminator="\n")
+    table.writeheader()
+    for one in participants(design):
+        for row in one.rows:
+            choices = {"choices": " ".join(row["choices"])}
+            table.writerow({"participant": one.code, **row, **choices, "excluded": one.excluded})
+    path = design.folder / DATA / TABLE
+    write_bytes_atomically(path, out.getvalue().encode())
+    text = (files("audioflinger_hook.study") / "built_in/codebook.md").read_bytes()
+    write_bytes_atomically(design.folder / "codebook.md", text)
+    return path
