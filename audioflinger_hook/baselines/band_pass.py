@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from scipy.signal import butter
 
-from audioflinger_hook.transform import FloatArray
 from audioflinger_hook.baselines.stages import Baseline, Filter
+from audioflinger_hook.transform import FloatArray
 
 BAND_HZ = (50.0, 250.0)
 

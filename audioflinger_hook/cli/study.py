@@ -2,11 +2,10 @@
 
 import argparse
 import json
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from datetime import UTC, datetime
 from hashlib import sha256
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,15 +17,17 @@ from audioflinger_hook.scenes.chord import chord
 from audioflinger_hook.scenes.engine import engine
 from audioflinger_hook.scenes.impacts import explosion
 from audioflinger_hook.scenes.speech import speech
-from audioflinger_hook.study import design as designs
 from audioflinger_hook.study import records
 from audioflinger_hook.study.design import DESIGN, Design
+from audioflinger_hook.study.design_check import check, load
 from audioflinger_hook.study.people import People, load_people
 from audioflinger_hook.study.power import power
 from audioflinger_hook.study.session import Person, Simulated
 from audioflinger_hook.study.session import run as run_session
 from audioflinger_hook.study.stimuli import Stimuli
 from audioflinger_hook.study.trials import session
+from audioflinger_hook.trials.player import DaemonPlayer
+from audioflinger_hook.trials.record import TrialRecord
 from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError
 from device.wav_output import WavOutput
@@ -72,24 +73,13 @@ def _new(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    design, mistakes = designs.check(options.folder)
+    design, mistakes = check(options.folder)
     told = [str(mistake) for mistake in listed(mistakes)]
-    if design is None:
-        for one in told:
-            complain(f"{options.folder / DESIGN}: {one}")
-        return UsageError.exit_code
     stimuli = Stimuli(design)
-    told += stimuli.mistakes()
-    for question in design.questions.values():
-        try:
-            People(design, {question.name: question.effect or {}}, 1, 2)
-        except UsageError as error:
-            told.append(f"effect of {error}")
-    try:
+    told = told or stimuli.mistakes() + _effect_mistakes(design)
+    if not told:
         _register(design)
-    except UsageError as error:
-        told.append(str(error))
-    if told:
+    else:
         for one in told:
             complain(f"{options.folder / DESIGN}: {one}")
         return UsageError.exit_code
@@ -105,14 +95,28 @@ def _check(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps({**document, "power": found}, indent=2))
         return 0
-    print(f"{trials} trials, about {minutes:.0f} min for each of {design.study.participants} people")
+    print(
+        f"{trials} trials, about {minutes:.0f} min for each of {design.study.participants} people"
+    )
     for name, share in found.items():
         if share is not None:
-            few = "" if share >= design.study.power else f", under the wanted {design.study.power:g}"
+            few = (
+                "" if share >= design.study.power else f", under the wanted {design.study.power:g}"
+            )
             print(f"power of {name}: {share:.2f}{few} (100 simulated studies)")
     print(f"SHA-256 of {DESIGN}: {design.digest}")
     print(f"registered in {design.folder / PREREGISTRATION}; publish this sum to preregister")
     return 0
+
+
+def _effect_mistakes(design: Design) -> list[str]:
+    found = []
+    for question in design.questions.values():
+        try:
+            People(design, {question.name: question.effect or {}}, 1, 2)
+        except UsageError as error:
+            found.append(f"effect of {error}")
+    return found
 
 
 def _registered(design: Design) -> dict[str, Any] | None:
@@ -121,9 +125,8 @@ def _registered(design: Design) -> dict[str, Any] | None:
         return None
     try:
         found = json.loads(path.read_text())
-        assert isinstance(found["design_sha256"], str) and isinstance(found["files"], dict)
-        return dict(found)
-    except (ValueError, KeyError, TypeError, AssertionError, OSError):
+        return {"registered": str(found["registered"]), **found, "files": dict(found["files"])}
+    except (ValueError, KeyError, TypeError, OSError):
         raise UsageError(f"{path} is damaged; restore it, or delete it to register again") from None
 
 
@@ -151,56 +154,77 @@ def _register(design: Design) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    design, shown = designs.load(options.folder), options.folder
+    design = load(options.folder)
     _register(design)
     stimuli = Stimuli(design)
     if mistakes := stimuli.mistakes():
         raise UsageError(mistakes[0])
     (design.folder / records.DATA).mkdir(exist_ok=True)
     if options.simulate:
-        people = load_people(options.simulate, design)
-        write_bytes_atomically(design.folder / SIMULATED, options.simulate.read_bytes())
-        finished = {one.code for one in records.participants(design) if one.is_complete}
-        codes = [f"S{number:03d}" for number in range(1, people.count + 1)]
-        with progress_bar("simulated people") as progress:
-            for done, code in enumerate(codes):
-                progress(done, people.count)
-                if code not in finished:
-                    with records.opened_record(design, code, True, _now()) as (number, record):
-                        who = Simulated(people, number, record.trials)
-                        for _ in run_session(design, number, record, stimuli, who):
-                            pass
-        print(f"{people.count} simulated people took part; next: cushion study report {shown}")
+        _simulate(design, stimuli, options.simulate)
     else:
         _live(design, stimuli, options.participant)
     records.write_table(design)
     return 0
 
 
+def _simulate(design: Design, stimuli: Stimuli, file: Path) -> None:
+    """Let all people of a file take part who have not finished."""
+    people, content, kept = load_people(file, design), file.read_bytes(), design.folder / SIMULATED
+    if kept.exists() and kept.read_bytes() != content:
+        raise UsageError(f"{file} is not what the data is of; give {kept}, or move the data away")
+    write_bytes_atomically(kept, content)
+    finished = {one.code for one in records.participants(design) if one.is_complete}
+    with progress_bar("simulated people") as progress:
+        for done in range(people.count):
+            progress(done, people.count)
+            if (code := f"S{done + 1:03d}") not in finished:
+                number, path = records.admit(design, code, True)
+                with _record(design, path, code, True) as record:
+                    who = Simulated(people, number, record.trials)
+                    for _ in run_session(design, number, record, stimuli, who):
+                        pass
+    print(f"{people.count} simulated people took part; next: cushion study report {design.folder}")
+
+
+def _record(design: Design, path: Path, code: str, simulated: bool) -> TrialRecord:
+    header = {"participant": code, "simulated": simulated, "begun": _now()}
+    return TrialRecord(path, design.digest, header=header)
+
+
 def _live(design: Design, stimuli: Stimuli, code: str | None) -> None:
     """Let a person answer on the page, while the daemon plays."""
+    from audioflinger_hook.trials.page import PageAnswers
+
     if code is None:
         raise UsageError("--participant CODE is missing; give an anonymous code, such as P01")
-    with records.opened_record(design, code, False, _now()) as (number, record), ExitStack() as kept:
-        total = len(session(design, number))
-        answers, player = kept.enter_context(live_trials())
+    number, path = records.admit(design, code, False)
+    total = len(session(design, number))
+    with ExitStack() as opened:
+        player = opened.enter_context(closing(DaemonPlayer()))
+        answers = opened.enter_context(closing(PageAnswers(player.stop, _show)))
+        record = opened.enter_context(_record(design, path, code, False))
         person = Person(answers, player, total)
         if not record.trials and not person.agrees(design.study.consent):
-            raise UsageError(f"participant {code} did not agree; nothing is recorded")
+            raise UsageError(f"participant {code} did not agree; no trial was played")
         try:
             for _ in run_session(design, number, record, stimuli, person):
                 pass
         finally:
-            go_on = f"go on with the same command and --participant {code}"
             if len(record.trials) < total:
-                print(f"{len(record.trials)} of {total} trials are recorded; {go_on}")
+                told = f"{len(record.trials)} of {total} trials are recorded; go on with"
+                print(f"{told} `cushion study run {design.folder} --participant {code}`")
     print(f"participant {code} has finished")
+
+
+def _show(address: str) -> None:
+    print(f"the participant answers at {address}", flush=True)
 
 
 def _report(options: argparse.Namespace) -> int:
     from audioflinger_hook.study import report
 
-    design = designs.load(options.folder)
+    design = load(options.folder)
     _register(design)
     records.write_table(design)
     people = records.participants(design)
@@ -215,4 +239,3 @@ def _report(options: argparse.Namespace) -> int:
     write_bytes_atomically(path, text.encode())
     print(f"{path} written")
     return 0
-

@@ -18,7 +18,9 @@ HALF, QUARTILE = 1.177410, 0.674490  # of a normal density half its height, of i
 LAPSES = (0.0, 0.02, 0.06)
 
 
-def probability(question: Question, x: FloatArray, place: FloatArray, jnd: FloatArray) -> FloatArray:
+def probability(
+    question: Question, x: FloatArray, place: FloatArray, jnd: FloatArray
+) -> FloatArray:
     """Return the probability of the counted answer without lapses.
 
     x, place, jnd: of any shapes that fit together, in ms for synchrony and in dB for levels. For

@@ -73,9 +73,9 @@ def estimate(measured: Measured, seed: int) -> Estimate:
         tail = stats.norm.cdf(quantile)
         lows, highs = np.quantile(drawn, (tail, 1.0 - tail), axis=0) - 2.0 * bias
         values = values - bias
-    shown = [np.clip(one, measured.low, measured.high) for one in (values, lows, highs)]
+    values, lows, highs = np.clip((values, lows, highs), measured.low, measured.high)
     p, p_of = tested_scores(measured)
-    return Estimate(measured.names, measured.unit, n, *shown, p, p_of)
+    return Estimate(measured.names, measured.unit, n, values, lows, highs, p, p_of)
 
 
 def tested_scores(measured: Measured) -> tuple[float | None, dict[str, float]]:
@@ -91,7 +91,9 @@ def tested_scores(measured: Measured) -> tuple[float | None, dict[str, float]]:
     single = 2.0 * stats.t.sf(np.abs(t), n - 1)
     order = np.argsort(single)
     holm = np.minimum(1.0, np.maximum.accumulate(single[order] * (d - np.arange(d))))
-    return float(stats.f.sf(f, d, n - d)), {names[i]: float(p) for i, p in zip(order, holm)}
+    return float(stats.f.sf(f, d, n - d)), {
+        names[i]: float(p) for i, p in zip(order, holm, strict=True)
+    }
 
 
 def measure(question: Question, people: Sequence[Answered]) -> Measured:
@@ -169,9 +171,7 @@ def _rating(question: Question, people: Sequence[Answered]) -> Measured:
     return Measured(names, "of 100", features, lambda mean: mean, scores, tests, 0.0, 100.0)
 
 
-def counts(
-    question: Question, curve: Curve, rows: Answered
-) -> dict[tuple[str, str], FloatArray]:
+def counts(question: Question, curve: Curve, rows: Answered) -> dict[tuple[str, str], FloatArray]:
     """Return counts of (yes, no) for each place, (2, xs), by tested condition and sound."""
     found: dict[tuple[str, str], FloatArray] = {}
     for trial, answer in rows:
@@ -191,7 +191,11 @@ def _synchrony(question: Question, people: Sequence[Answered]) -> Measured:
         for c, name in enumerate(names):
             sounds = [one for (condition, _), one in found.items() if condition == name]
             features[k, :, c] = curve.estimate(*np.sum(sounds, axis=0))
-    labels = [f"{what}, {name}" for what in ("PSS", "JND") for name in names]
+    if question.judgement == "simultaneity":
+        ends = [features[:, 0] - features[:, 1], features[:, 0] + features[:, 1]]
+        features = np.concatenate([features, np.stack(ends, axis=1)], axis=1)
+    kinds = ("PSS", "JND", "noticed below", "noticed above")[: features.shape[1]]
+    labels = [f"{what}, {name}" for what in kinds for name in names]
     flat, tests = features.reshape(len(people), -1), labels[: len(names)]
     return Measured(labels, "ms", flat, lambda mean: mean, features[:, 0], tests)
 
@@ -253,7 +257,7 @@ def truth(question: Question, people: People) -> FloatArray:
             p = np.mean([chosen_probability(question, trial, one) for one in drawn], axis=0)
             expected.append((trial, dict(zip(trial.choices, p, strict=True))))
         statistic = _bradley_terry if question.paradigm == "preference" else _information
-        return statistic(_table(question, expected)[None])[0]
+        return np.asarray(statistic(_table(question, expected)[None])[0])
     keys = [key for key in drawn[0] if key not in ("lapse", "noise")]
     if question.paradigm == "rating":
         z = stats.norm.ppf((np.arange(200) + 0.5) / 200)  # ratings end at 0 and 100
@@ -262,10 +266,12 @@ def truth(question: Question, people: People) -> FloatArray:
             + one["lapse"] * 50.0
             for one in drawn
         ]
-        return np.mean(rated, axis=(0, 1))
+        return np.asarray(np.mean(rated, axis=(0, 1)))
     mean = [np.mean([one[key] for one in drawn], axis=0) for key in keys]
     places = [question.conditions.index(pair[0]) for pair in question.pairs]
-    return np.concatenate([one[places] for one in mean])
+    place, jnd = (one[places] for one in mean)
+    is_window = question.paradigm == "synchrony" and question.judgement == "simultaneity"
+    return np.concatenate([place, jnd, *([place - jnd, place + jnd] if is_window else ())])
 
 
 _MEASURES = {

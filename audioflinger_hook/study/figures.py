@@ -14,7 +14,7 @@ from device.errors import NotFoundError, not_installed
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-WIDTH_IN, ROW_IN, DETAIL_IN = 6.4, 0.34, 2.9
+WIDTH_IN, ROW_IN, DETAIL_IN = 4.9, 0.3, 2.6
 
 
 def figure_svg(
@@ -36,12 +36,12 @@ def figure_svg(
         raise NotFoundError(not_installed("matplotlib", "study")) from error
     groups = _groups(question, estimate)
     heights = [0.9 + ROW_IN * len(rows) for rows, _ in groups]
-    detail = question.paradigm in ("synchrony", "identification")
-    heights += [DETAIL_IN] * detail
+    details = {"synchrony": 1, "identification": len(question.conditions)}.get(question.paradigm, 0)
+    heights += [DETAIL_IN] * details
     figure = Figure(figsize=(WIDTH_IN, sum(heights)), layout="constrained")
     axes = np.atleast_1d(figure.subplots(len(heights), 1, height_ratios=heights))
     features = measure(question, answered).features
-    for ax, (rows, unit) in zip(axes, groups):
+    for ax, (rows, unit) in zip(axes, groups, strict=False):
         for y, i in enumerate(rows):
             if features.ndim == 2:
                 own = np.full(len(features), y) + np.linspace(-0.16, 0.16, len(features))
@@ -56,11 +56,14 @@ def figure_svg(
         if unit == "log odds" or unit == "dB":
             ax.axvline(0.0, color=palette.GREY, lw=0.8, ls=":")
         _plain(ax)
-    if detail:
-        _draw_answers(axes[-1], question, estimate, answered)
+    for ax, condition in zip(axes[len(groups) :], question.conditions, strict=False):
+        if question.paradigm == "identification":
+            _draw_confusion(ax, question, condition, answered)
+        else:
+            _draw_curves(ax, question, estimate, answered)
     if simulated:
         figure.text(
-            0.5, 0.5, "SIMULATED", color=palette.FELT, alpha=0.16, fontsize=46, weight="bold",
+            0.5, 0.5, "SIMULATED", color=palette.FELT, alpha=0.16, fontsize=40, weight="bold",
             ha="center", va="center", rotation=16,
         )  # fmt: skip
     text = io.StringIO()
@@ -85,33 +88,37 @@ def _plain(ax: "Axes") -> None:
     ax.tick_params(axis="y", length=0)
 
 
-def _draw_answers(
+def _draw_confusion(
+    ax: "Axes", question: Question, condition: str, answered: list[Answered]
+) -> None:
+    from audioflinger_hook.figures import palette
+
+    names = list(question.stimuli)
+    table = np.zeros((len(names), len(names)))
+    for trial, answer in (row for rows in answered for row in rows):
+        if trial.conditions[0] == condition:
+            table[names.index(trial.stimulus), names.index(answer)] += 1.0
+    table /= np.maximum(table.sum(axis=1, keepdims=True), 1.0)
+    ax.imshow(table, cmap=palette.level_map(), vmin=0.0, vmax=1.0, aspect="auto")
+    for (i, j), share in np.ndenumerate(table):
+        colour = palette.WHITE if share > 0.45 else palette.INK
+        ax.text(j, i, f"{100 * share:.0f} %", ha="center", va="center", color=colour)
+    ax.set_xticks(range(len(names)), names)
+    ax.set_yticks(range(len(names)), names)
+    ax.set(xlabel="answer", ylabel="sound", title=condition)
+
+
+def _draw_curves(
     ax: "Axes", question: Question, estimate: Estimate, answered: list[Answered]
 ) -> None:
     from audioflinger_hook.figures import palette
 
-    rows = [one for person in answered for one in person]
-    if question.paradigm == "identification":
-        names = list(question.stimuli)
-        table = np.zeros((len(names), len(names)))
-        for trial, answer in rows:
-            table[names.index(trial.stimulus), names.index(answer)] += 1.0
-        table /= np.maximum(table.sum(axis=1, keepdims=True), 1.0)
-        ax.imshow(table, cmap=palette.level_map(), vmin=0.0, vmax=1.0, aspect="auto")
-        for (i, j), share in np.ndenumerate(table):
-            colour = palette.WHITE if share > 0.5 else palette.INK
-            ax.text(j, i, f"{100 * share:.0f} %", ha="center", va="center", color=colour)
-        ax.set_xticks(range(len(names)), names)
-        ax.set_yticks(range(len(names)), names)
-        ax.set(xlabel="answer", ylabel="sound")
-        return
+    rows = [row for person in answered for row in person]
     xs = np.array(sorted(question.offsets_ms))
     fine = np.linspace(xs[0], xs[-1], 200)
     for c, name in enumerate(question.conditions):
-        shares = []
-        for x in xs:
-            here = [(t, a) for t, a in rows if t.offset_ms == x and t.conditions[0] == name]
-            shares.append(np.mean([counted(t, question, a) for t, a in here]) if here else np.nan)
+        of = [(t.offset_ms, counted(t, question, a)) for t, a in rows if t.conditions[0] == name]
+        shares = np.array([np.mean([yes for at, yes in of if at == x]) for x in xs])
         colour = (palette.HEARD, palette.FELT, palette.INK, palette.GREY)[c % 4]
         ax.plot(xs, shares, "o", color=colour, label=name)
         values = np.array(estimate.values)

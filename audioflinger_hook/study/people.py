@@ -86,6 +86,9 @@ def load_people(path: Path, design: Design) -> People:
         seed = document.get("seed", 1)
         if not all(type(one) is int and 0 <= one < 2**31 for one in (count, seed)) or not count:
             raise UsageError("people and seed are whole numbers, people above 0")
+        if count > design.study.participants:
+            most = design.study.participants
+            raise UsageError(f"people={count}, but the design ends after {most} participants")
         truths = document.get("questions", {})
         if not isinstance(truths, dict):
             raise UsageError('"questions" is not a JSON object')
@@ -137,25 +140,27 @@ def answer(
 
 
 def _parameters(question: Question, truth: Any) -> dict[str, FloatArray]:
-    if not isinstance(truth, dict):
-        raise UsageError(f"{question.name} is not a table of parameters")
+    """Return each parameter of a question, with one value for each condition."""
     defaults = PARAMETERS[question.paradigm]
     known = {**defaults, **{f"{key}_spread": 0.0 for key in defaults}, "lapse": 0.0}
+    if not isinstance(truth, dict):
+        raise UsageError(f"{question.name} is not a table of parameters")
+    for key, given in truth.items():
+        names = known if key not in known else question.conditions
+        for name in [key] if key not in known else given if isinstance(given, dict) else []:
+            if name not in names:
+                told = _allowed(name, list(names))
+                raise UsageError(f"{question.name}: {name!r} is unknown; {told}")
     found = {}
-    for key, value in truth.items():
-        if key not in known:
-            raise UsageError(f"{question.name}.{key} is unknown; {_allowed(key, [*known])}")
-        for name in value if isinstance(value, dict) else ():
-            if name not in question.conditions:
-                told = _allowed(name, [*question.conditions])
-                raise UsageError(f"{question.name}.{key}.{name} is no condition; {told}")
     for key, default in known.items():
         given = truth.get(key, default)
-        values = given if isinstance(given, dict) else dict.fromkeys(question.conditions, given)
-        values = [values.get(name, default) for name in question.conditions]
-        good = all(type(v) in (int, float) and -1e4 < v < 1e4 for v in values)
-        if not good or (key == "lapse" and not 0 <= values[0] <= 1):
-            raise UsageError(f"{question.name}.{key} is not a number or out of range")
+        of = given if isinstance(given, dict) else dict.fromkeys(question.conditions, given)
+        values: list[Any] = [of.get(name, default) for name in question.conditions]
+        low, high = (0.0, 1.0) if key in ("lapse", "accuracy") else (-1e4, 1e4)
+        if not all(type(one) in (int, float) and low <= one <= high for one in values):
+            raise UsageError(
+                f"{question.name}.{key}={given} is refused; allowed: {low:g} to {high:g}"
+            )
         found[key] = np.array(values, dtype=float)
     return found
 
@@ -163,5 +168,3 @@ def _parameters(question: Question, truth: Any) -> dict[str, FloatArray]:
 def _allowed(name: str, known: list[str]) -> str:
     guess = nearest(str(name), known)
     return f"allowed: {', '.join(known)}" + (f"; did you mean {guess}?" if guess else "")
-
-

@@ -35,9 +35,7 @@ def simulated_study(design: Design, name: str, people: People) -> Measured:
     return measure(question, answered)
 
 
-def power(
-    design: Design, question: Question, progress: Callable[[int, int], None]
-) -> float | None:
+def power(design: Design, question: Question, progress: Callable[[int, int], None]) -> float | None:
     """Return the share of simulated studies that find the question's `effect`; None without one.
 
     A study finds the effect if the test of all comparisons together gives p below 0.05. None also

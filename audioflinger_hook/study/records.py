@@ -3,8 +3,7 @@
 import csv
 import io
 import re
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -41,35 +40,31 @@ def record_files(design: Design) -> dict[str, tuple[int, Path]]:
     return {match[2]: (int(match[1]), path) for match, path in found if match}
 
 
-@contextmanager
-def opened_record(
-    design: Design, code: str, simulated: bool, begun: str
-) -> Iterator[tuple[int, TrialRecord]]:
-    """Yield the number and the record of a new participant, or of one who goes on.
+def admit(design: Design, code: str, simulated: bool) -> tuple[int, Path]:
+    """Return number and record file of a new participant, or of one who goes on.
 
-    begun: time of the first beginning, for the header. UsageError: the code is not allowed, the
-    participant or the study has finished, or the record is of another design or kind.
+    UsageError: the code is not allowed, participant or study has finished, or the data is of real
+    people and this one is simulated, or the reverse.
     """
     if not CODE.fullmatch(code):
         raise UsageError(f"--participant={code!r} is no code; allowed: 1 to 32 letters and digits")
-    known = record_files(design)
-    number, path = known.get(code, (max([n for n, _ in known.values()], default=-1) + 1, None))
-    people = participants(design)
+    known, people = record_files(design), participants(design)
     if any(one.header.get("simulated") != simulated for one in people):
-        kinds = ("real", "simulated")[not simulated], ("real", "simulated")[simulated]
+        kinds = ("real", "simulated") if simulated else ("simulated", "real")
         told = f"{design.folder / DATA} has data of {kinds[0]} people"
         raise UsageError(f"{told}; move it away before {kinds[1]} people take part")
-    if path is None and sum(one.is_complete for one in people) >= design.study.participants:
+    finished = [one.code for one in people if one.is_complete]
+    if code in finished:
+        raise UsageError(f"participant {code} has finished already; give a new code")
+    if code in known:
+        return known[code]
+    if len(finished) >= design.study.participants:
         raise UsageError(
             f"the design ends after {design.study.participants} participants, and all have "
             "finished; see the results with `cushion study report`"
         )
-    if next((one.is_complete for one in people if one.code == code), False):
-        raise UsageError(f"participant {code} has finished already; give a new code")
-    path = path or design.folder / DATA / f"{number:04d}-{code}.jsonl"
-    header = {"participant": code, "simulated": simulated, "begun": begun}
-    with TrialRecord(path, design.digest, header=header) as record:
-        yield number, record
+    number = max([number for number, _ in known.values()], default=-1) + 1
+    return number, design.folder / DATA / f"{number:04d}-{code}.jsonl"
 
 
 def participants(design: Design) -> list[Participant]:

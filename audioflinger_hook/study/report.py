@@ -88,16 +88,15 @@ def page(design: Design, registered: dict[str, Any] | None, truths: People | Non
     ]
     further = [part for part in parts if part not in planned]
     further += [_closer(design.questions[name], *found[name][1:]) for name in design.questions]
-    if not is_before:
-        when = "The design was not registered before the first participant began."
-    else:
-        when = f"The design was registered on {registered['registered']}, before the first participant."  # type: ignore[index]
+    when = "was not registered before the first participant began"
+    if registered is not None and is_before:
+        when = f"was registered on {registered['registered']}, before the first participant began"
     template = (files("audioflinger_hook.study") / "built_in/report.html").read_text()
     return Template(template).substitute(
         title=escape(design.study.title),
         banner="<p class=simulated>SIMULATED: no person took part</p>" if simulated else "",
         people=_people(design, people),
-        registered=when,
+        registered=f"The design {when}.",
         planned="".join(planned) or "<p>There is none.</p>",
         further="".join(further) or "<p>There is none.</p>",
         versions=_versions(design, people),
@@ -114,15 +113,18 @@ def _question(
 ) -> str:
     question = design.questions[name]
     figure = figure_svg(question, one, true, answered, simulated)
-    tests = "".join(
-        f"<tr><td>{escape(label)}<td>{_p(p)}" for label, p in one.p_of.items()
-    )
+    tests = "".join(f"<tr><td>{escape(label)}<td>{_p(p)}" for label, p in one.p_of.items())
     if tests:
         together = f"All comparisons together: {_p(one.p)} (Hotelling's T²)."
         tests = (
             f"<p>{together}</p><div class=wide><table><tr><th>comparison<th>p after Holm{tests}"
             "</table></div>"
         )
+    legend = (
+        "Dot: estimate. Line: 95 % interval. Small dots: participants, if each has an estimate."
+    )
+    legend += " Cross: true value." if true else ""
+    figure = f"<figure>{figure}<figcaption>{legend}</figcaption></figure>"
     heading = f"{escape(name)} <small>{question.paradigm}, {counted(one.people, 'people')}</small>"
     return f"<section><h3>{heading}</h3>{figure}{_table(one, true)}{tests}</section>"
 
@@ -131,10 +133,14 @@ def _table(one: Estimate, true: list[float] | None) -> str:
     head = f"<tr><th>{escape(one.unit)}<th>estimate<th>95 % interval"
     rows = [head + ("<th>true" if true else "")]
     for i, label in enumerate(one.names):
-        value, low, high = (f"{x[i]:.3g}" for x in (one.values, one.lows, one.highs))
+        value, low, high = (_number(x[i], one.unit) for x in (one.values, one.lows, one.highs))
         cells = f"<tr><td>{escape(label)}<td>{value}<td>{low} to {high}"
-        rows.append(cells + (f"<td>{true[i]:.3g}" if true else ""))
-    return f"<div class=wide><table>{''.join(rows)}</table></div>".replace("-", "−")
+        rows.append(cells + (f"<td>{_number(true[i], one.unit)}" if true else ""))
+    return f"<div class=wide><table>{''.join(rows)}</table></div>"
+
+
+def _number(value: float, unit: str) -> str:
+    return f"{value:.{1 if unit in ('ms', 'dB', 'of 100') else 2}f}".replace("-", "−")
 
 
 def _closer(question: Question, true: object, answered: list[Answered]) -> str:
@@ -174,7 +180,10 @@ def _versions(design: Design, people: Sequence[Participant]) -> str:
             of[name] = version(name)
         except PackageNotFoundError:
             of[name] = "unknown"
-    rows = [(f"SHA-256 of {DESIGN}", design.digest), (f"SHA-256 of {TABLE}", sha256(table).hexdigest())]
+    rows = [
+        (f"SHA-256 of {DESIGN}", design.digest),
+        (f"SHA-256 of {TABLE}", sha256(table).hexdigest()),
+    ]
     rows += [(name, str(one)) for name, one in of.items()]
     return "".join(f"<tr><td>{name}<td><code>{escape(one)}</code>" for name, one in rows)
 

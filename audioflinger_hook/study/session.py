@@ -31,34 +31,27 @@ LABELS = {"1": "First", "2": "Second", "yes": "Yes", "no": "No"}
 PAUSE = "Take a pause. Go on when you are ready."
 
 
-class Record(Protocol):
-    """Where the rows of a session are kept, such as `audioflinger_hook.trials.record`."""
-
+class _Record(Protocol):
     trials: list[dict[str, Any]]
 
-    def append(self, trial: Mapping[str, Any]) -> None:
-        """Keep one row."""
-        ...
+    def append(self, trial: Mapping[str, Any]) -> None: ...
 
 
-class Participant(Protocol):
-    """Who answers: a `Person` or a `Simulated` one."""
-
+class _Participant(Protocol):
     def answer(self, trial: Trial, question: Question, files: list[Vibration]) -> dict[str, Any]:
         """Play a trial and ask; return the columns of what was played and answered."""
         ...
 
-    def pause(self) -> None:
-        """Offer a pause between two blocks."""
-        ...
+    def pause(self) -> None: ...
 
 
 def run(
-    design: Design, number: int, record: Record, stimuli: Stimuli | None, who: Participant
+    design: Design, number: int, record: _Record, stimuli: Stimuli | None, who: _Participant
 ) -> Iterator[Trial]:
     """Yield each trial after its row is recorded; trials that are recorded already are left out.
 
-    number: the participant's, from 0. stimuli: makes the files; None for a simulation without.
+    number: the participant's, from 0. record: has `trials`, and `append`, as `TrialRecord`.
+    stimuli: makes the files; None for a simulation without. who: a `Person` or `Simulated`.
     """
     counts: dict[tuple[str, str, str], FloatArray] = {}
     curves = {name: Curve(q) for name, q in design.questions.items() if q.paradigm in ADAPTIVE}
@@ -149,17 +142,24 @@ class Person:
         """Play all intervals, as often as the person asks, and return the answer."""
         asked = self._asked(trial, question)
         columns: dict[str, Any] = {}
-        again = 0
+        again = pauses = 0
         while True:
+            is_stopped = False
             for i, file in enumerate(files):
                 title = LABELS[str(i + 1)] if len(files) > 1 else asked.title
                 self._answers.show(page.Question(page.Kind.PLAYING, title))
-                columns |= _played(i, file, self._play(file))
+                played = self._play(file)
+                columns |= _played(i, file, played)
+                is_stopped = is_stopped or played.stopped
+            if is_stopped:  # by a pause
+                pauses += 1
+                self.pause()
+                continue
             given = self._answers.ask(asked)
             if given.value != page.AGAIN.value:
                 break
             again += 1
-        about = {"answered_after_s": given.after_s, "again": again, "pauses": given.pauses}
+        about = {"answered_after_s": given.after_s, "again": again, "pauses": pauses + given.pauses}
         return {**columns, "answer": given.value, **about}
 
     def _play(self, file: Vibration) -> Played:
@@ -198,9 +198,7 @@ class Simulated:
     rows: what is recorded already, so that the clock goes on.
     """
 
-    def __init__(
-        self, people: People, number: int, rows: Sequence[Mapping[str, Any]] = ()
-    ) -> None:
+    def __init__(self, people: People, number: int, rows: Sequence[Mapping[str, Any]] = ()) -> None:
         self._people, self._number, self._now_s = people, number, 0.0
         for row in rows[-1:]:
             last = 2 if "condition_2" in row else 1

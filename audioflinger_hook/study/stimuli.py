@@ -7,7 +7,7 @@ same length, with silence around for the delays.
 
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from hashlib import sha256
 from math import log10
 from pathlib import Path
@@ -121,12 +121,12 @@ class Stimuli:
     def _is_none(self, name: str) -> bool:
         return name == NONE or self._design.conditions[name].method == NONE
 
-    @lru_cache(maxsize=None)  # noqa: B019 - as long as the study runs
+    @cache  # noqa: B019 - as long as the study runs
     def _sound(self, stimulus: str) -> tuple[FloatArray, int]:
         sound, rate = soundfile.read(self._design.stimuli[stimulus].file, always_2d=True)
         return sound, rate
 
-    @lru_cache(maxsize=None)  # noqa: B019
+    @cache  # noqa: B019
     def _vibration(self, stimulus: str, name: str) -> FloatArray:
         sound, rate = self._sound(stimulus)
         condition = self._design.conditions[name]
@@ -157,8 +157,13 @@ class Stimuli:
         """Return a vibration at the level of the study, or lower if a condition needs it."""
         if self._is_none(name):
             return np.zeros(1)
-        together = {one for q in self._design.questions.values() if stimulus in q.stimuli
-                    for one in q.conditions if not self._is_none(one)}
+        together = {
+            one
+            for q in self._design.questions.values()
+            if stimulus in q.stimuli
+            for one in q.conditions
+            if not self._is_none(one)
+        }
         rate = self._sound(stimulus)[1]
         peaks = []
         for one in together:
@@ -171,7 +176,7 @@ class Stimuli:
         level = min(wanted, PEAK_MAX / max(peaks, default=1.0))
         self.lowered_db[stimulus] = 20.0 * log10(wanted / level)
         signal = self._vibration(stimulus, name)
-        return signal * (level / weighted_level(signal, rate, len(signal)))
+        return np.asarray(signal * (level / weighted_level(signal, rate, len(signal))))
 
     def _masked(self, sound: FloatArray, pad: int, rate: int) -> FloatArray:
         padded = np.pad(sound, ((pad, pad), (0, 0)))

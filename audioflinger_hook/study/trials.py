@@ -99,4 +99,3 @@ def at_level(trial: Trial, question: Question, level_db: float) -> Trial:
     """Return an adaptive trial in which the tested condition has this level."""
     place = tested(trial, question)
     return replace(trial, gains_db=tuple(level_db if i == place else 0.0 for i in (0, 1)))
-
