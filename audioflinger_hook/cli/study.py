@@ -6,6 +6,7 @@ from contextlib import ExitStack, closing
 from datetime import UTC, datetime
 from hashlib import sha256
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -164,7 +165,7 @@ def _run(options: argparse.Namespace) -> int:
         _simulate(design, stimuli, options.simulate)
     else:
         _live(design, stimuli, options.participant)
-    records.write_table(design)
+    records.write_table(design, records.participants(design))
     return 0
 
 
@@ -194,12 +195,12 @@ def _record(design: Design, path: Path, code: str, simulated: bool) -> TrialReco
 
 def _live(design: Design, stimuli: Stimuli, code: str | None) -> None:
     """Let a person answer on the page, while the daemon plays."""
-    from audioflinger_hook.trials.page import PageAnswers
-
     if code is None:
         raise UsageError("--participant CODE is missing; give an anonymous code, such as P01")
     number, path = records.admit(design, code, False)
     total = len(session(design, number))
+    from audioflinger_hook.trials.page import PageAnswers
+
     with ExitStack() as opened:
         player = opened.enter_context(closing(DaemonPlayer()))
         answers = opened.enter_context(closing(PageAnswers(player.stop, _show)))
@@ -226,15 +227,15 @@ def _report(options: argparse.Namespace) -> int:
 
     design = load(options.folder)
     _register(design)
-    records.write_table(design)
     people = records.participants(design)
     simulated = bool(people) and bool(people[0].header["simulated"])
     truths = load_people(design.folder / SIMULATED, design) if simulated else None
+    found = report.results(design, people, truths)
+    records.write_table(design, people)
     if options.json:
-        found = report.results(design, people, truths)
         print(json.dumps(report.as_document(found), indent=2))
         return 0
-    text = report.page(design, _registered(design), truths)
+    text = report.page(design, _registered(design), people, found)
     path = options.out or design.folder / REPORT
     write_bytes_atomically(path, text.encode())
     print(f"{path} written")

@@ -74,11 +74,11 @@ def estimate(measured: Measured, seed: int) -> Estimate:
         lows, highs = np.quantile(drawn, (tail, 1.0 - tail), axis=0) - 2.0 * bias
         values = values - bias
     values, lows, highs = np.clip((values, lows, highs), measured.low, measured.high)
-    p, p_of = tested_scores(measured)
+    p, p_of = p_values(measured)
     return Estimate(measured.names, measured.unit, n, values, lows, highs, p, p_of)
 
 
-def tested_scores(measured: Measured) -> tuple[float | None, dict[str, float]]:
+def p_values(measured: Measured) -> tuple[float | None, dict[str, float]]:
     """Return p of Hotelling's test that all means are 0, and p of each t test after Holm."""
     scores, names = measured.scores, measured.tests
     n, d = scores.shape

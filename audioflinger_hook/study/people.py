@@ -129,7 +129,7 @@ def answer(
     question: Question, trial: Trial, person: Mapping[str, FloatArray], rng: np.random.Generator
 ) -> tuple[str | float, float]:
     """Return a random answer of a person to a trial, and after how many seconds it comes."""
-    after_s = 0.5 + float(rng.gamma(2.0, 0.6))
+    after_s = round(0.5 + float(rng.gamma(2.0, 0.6)), 3)
     if question.paradigm == "rating":
         place = question.conditions.index(trial.conditions[1])
         rated = person["rating"][place] + person["noise"][place] * rng.standard_normal()

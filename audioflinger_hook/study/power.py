@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from audioflinger_hook.study.design import Design, Question
-from audioflinger_hook.study.estimates import Answered, Measured, measure, tested_scores
+from audioflinger_hook.study.estimates import Answered, Measured, measure, p_values
 from audioflinger_hook.study.people import People
 from audioflinger_hook.study.session import Simulated, run, trial_of
 
@@ -48,7 +48,7 @@ def power(design: Design, question: Question, progress: Callable[[int, int], Non
     for seed in range(STUDIES):
         count = design.study.participants
         people = People(alone, {question.name: question.effect}, design.study.seed + seed, count)
-        p, _ = tested_scores(simulated_study(alone, question.name, people))
+        p, _ = p_values(simulated_study(alone, question.name, people))
         if p is None:
             return None
         found.append(p < LEVEL)

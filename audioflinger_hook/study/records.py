@@ -3,7 +3,7 @@
 import csv
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -104,17 +104,15 @@ def columns() -> dict[str, str]:
     return dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", text, re.MULTILINE))
 
 
-def write_table(design: Design) -> Path:
-    """Write all rows to `data/trials.csv`, and `codebook.md`; return the table's path."""
+def write_table(design: Design, people: Sequence[Participant]) -> None:
+    """Write all rows to `data/trials.csv`, and `codebook.md`."""
     out = io.StringIO()
     table = csv.DictWriter(out, list(columns()), lineterminator="\n")
     table.writeheader()
-    for one in participants(design):
+    for one in people:
         for row in one.rows:
             choices = {"choices": " ".join(row["choices"])}
             table.writerow({"participant": one.code, **row, **choices, "excluded": one.excluded})
-    path = design.folder / DATA / TABLE
-    write_bytes_atomically(path, out.getvalue().encode())
+    write_bytes_atomically(design.folder / DATA / TABLE, out.getvalue().encode())
     text = (files("audioflinger_hook.study") / "built_in/codebook.md").read_bytes()
     write_bytes_atomically(design.folder / "codebook.md", text)
-    return path

@@ -16,7 +16,7 @@ from audioflinger_hook.study.design import DESIGN, Design, Question
 from audioflinger_hook.study.estimates import Answered, Estimate, estimate, measure, truth
 from audioflinger_hook.study.figures import figure_svg
 from audioflinger_hook.study.people import People
-from audioflinger_hook.study.records import DATA, TABLE, Participant, participants
+from audioflinger_hook.study.records import DATA, TABLE, Participant
 from audioflinger_hook.study.session import trial_of
 from audioflinger_hook.study.trials import FIRST, SECOND
 from audioflinger_hook.transform import TRANSFORM_VERSION
@@ -25,10 +25,11 @@ from device.values import counted
 
 LIBRARIES = ("numpy", "scipy", "matplotlib")
 
+Results = dict[str, tuple[Estimate, list[float] | None, list[Answered]]]
+"""The estimate, true values if known, and answers of each question."""
 
-def results(
-    design: Design, people: Sequence[Participant], truths: People | None
-) -> dict[str, tuple[Estimate, list[float] | None, list[Answered]]]:
+
+def results(design: Design, people: Sequence[Participant], truths: People | None) -> Results:
     """Return each question's estimate, true values if `truths` is given, and answers.
 
     UsageError: nobody has finished, or all are excluded.
@@ -51,7 +52,7 @@ def _answers(participant: Participant, name: str) -> Answered:
     return [(trial_of(row), row["answer"]) for row in rows]
 
 
-def as_document(found: dict[str, tuple[Estimate, list[float] | None, list[Answered]]]) -> Any:
+def as_document(found: Results) -> Any:
     """Return the estimates for JSON."""
     document = {}
     for name, (one, true, _) in found.items():
@@ -70,13 +71,16 @@ def as_document(found: dict[str, tuple[Estimate, list[float] | None, list[Answer
     return document
 
 
-def page(design: Design, registered: dict[str, Any] | None, truths: People | None) -> str:
+def page(
+    design: Design,
+    registered: dict[str, Any] | None,
+    people: Sequence[Participant],
+    found: Results,
+) -> str:
     """Return the report as HTML. registered: the preregistration; None if there is none.
 
-    UsageError: see `results`. NotFoundError: matplotlib is missing.
+    The table `data/trials.csv` must be written before. NotFoundError: matplotlib is missing.
     """
-    people = participants(design)
-    found = results(design, people, truths)
     simulated = bool(people[0].header.get("simulated"))
     begun = min(str(one.header.get("begun")) for one in people)
     is_before = registered is not None and str(registered["registered"]) <= begun

@@ -219,5 +219,5 @@ class Simulated:
             self._now_s += file.seconds + GAP_S
         answer, after_s = self._people.answer(trial, self._number)
         self._now_s += after_s
-        about = {"answered_after_s": round(after_s, 3), "again": 0, "pauses": 0}
+        about = {"answered_after_s": after_s, "again": 0, "pauses": 0}
         return {**columns, "answer": answer, **about}

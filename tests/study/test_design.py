@@ -68,7 +68,8 @@ def test_all_mistakes_are_told_at_once_and_the_exit_code_is_2(tmp_path):
 
 
 def test_a_study_of_more_than_8_hours_is_refused(tmp_path):
-    found = changed(tmp_path, ("repeats = 2", "repeats = 1000"))
+    slow = ("level_db = -40", "level_db = -40\nanswer_s = 9.0")
+    found = changed(tmp_path, ("repeats = 2", "repeats = 1000"), slow)
     assert [key for key, _ in found] == ["this study"]
     assert "at most 8 h" in found[0][1]
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from audioflinger_hook.study.estimates import estimate, tested_scores, truth
+from audioflinger_hook.study.estimates import estimate, p_values, truth
 from audioflinger_hook.study.people import People
 from audioflinger_hook.study.power import power, simulated_study
 from tests.support.studies import QUESTIONS, TRUTHS, make_study
@@ -56,7 +56,7 @@ def false_positives(design, studies):
     found = []
     for seed in range(studies):
         people = People(design, {"preference": {"worth_spread": 0.4}}, 5_000 + seed, 20)
-        found.append(tested_scores(simulated_study(design, "preference", people))[0] < 0.05)
+        found.append(p_values(simulated_study(design, "preference", people))[0] < 0.05)
     return np.mean(found)
 
 

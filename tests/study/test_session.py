@@ -106,11 +106,12 @@ def test_who_has_finished_cannot_take_part_again_and_the_study_ends(tmp_path):
     make_study(tmp_path, "rating", participants=2)
     people = write_people(tmp_path, 2)
     assert call("study", "run", tmp_path, "--simulate", people).code == 0
+    assert call("study", "run", tmp_path, "--simulate", people).code == 0  # nothing is left to do
     for command, words in (
         (("--participant", "P1"), "data of simulated people"),
         (("--participant", "../P1"), "letters and digits"),
         ((), "--participant CODE is missing"),
-        (("--simulate", write_people(tmp_path / "data", 1)), "is not what the data is of"),
+        (("--simulate", write_people(tmp_path, 1)), "is not what the data is of"),
     ):
         done = call("study", "run", tmp_path, *command)
         assert (done.code, words in done.stderr) == (2, True), done
