@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from audioflinger_hook.daemon.native.chain import Chain
-from device.drive.exposure import DoseSums
+from device.drive.exposure import DoseSums, Exposure
 from device.errors import UsageError
 from device.units import Float32Array, amplitude_to_db
 
@@ -107,24 +107,24 @@ class TrialMeter:
         self._frames, self._before = frames, now
 
     def result(self, seconds: float) -> dict[str, Any]:
-        """Return peak and r.m.s. level in dBFS, protection's attenuation, and the dose.
+        """Return peak and r.m.s. level in dBFS, protection's attenuation, and exposure.
 
         seconds: duration of the trial.
         """
         self.look()
         energy_s = self._energy_s + RMS_S * (self._before[:, 1] - self._first)
         square = float(np.max(energy_s, initial=0.0)) / max(seconds, 1.0 / RATE_HZ)
-        doses = [
-            now.plus(then, -1.0) for now, then in zip(self._dose_sums(), self._doses, strict=True)
-        ]
-        worst = max(doses, key=lambda one: one.squares, default=None)
+        both = zip(self._dose_sums(), self._doses, strict=True)
+        doses = [now.plus(then, -1.0) for now, then in both]
+        exposure = Exposure.of(doses) if doses else None
         return {
             "seconds": seconds,
             "peak_dbfs": amplitude_to_db(max(self._peak, SILENT)),
             "level_dbfs": amplitude_to_db(max(math.sqrt(square), SILENT)),
-            "protection_db": -amplitude_to_db(self._gain),
+            "protection_db": abs(amplitude_to_db(self._gain)),
             "limited_blocks": self._limited_blocks() - self._limited,
-            "dose": None if worst is None else vars(worst),
+            "a8_m_s2": exposure and exposure.a8_m_s2,
+            "vdv_m_s175": exposure and exposure.vdv,
         }
 
     def _levels(self) -> Any:

@@ -79,10 +79,13 @@ class Live(Protocol):
 
 
 class Talk:
-    """A conversation in lines of JSON with a client that may stay. OSError: the client has left."""
+    """A conversation in lines of JSON with a client that may stay. OSError: the client has left.
 
-    def __init__(self, client: socket.socket, is_over: Callable[[], bool]) -> None:
-        self._client, self._is_over, self._waiting = client, is_over, b""
+    received: bytes that have arrived already. is_over: whether the server stops.
+    """
+
+    def __init__(self, client: socket.socket, received: bytes, is_over: Callable[[], bool]) -> None:
+        self._client, self._waiting, self._is_over = client, received, is_over
         client.settimeout(REQUEST_TIME_S)
 
     def say(self, document: dict[str, Any]) -> None:
@@ -213,7 +216,7 @@ class StatusServer:
                     if refusal := _other_protocol(asked):
                         client.sendall(refusal)
                     else:
-                        live.play_trials(Talk(client, self._stopping.is_set))
+                        live.play_trials(Talk(client, requests, self._stopping.is_set))
                     return
                 if live and asked.get("ask") == "control":
                     answer = _other_protocol(asked) or _line(live.control(asked))

@@ -19,7 +19,6 @@ from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from audioflinger_hook.service.status_client import NO_DAEMON
 from audioflinger_hook.service.status_server import NAME, PROTOCOL
 from audioflinger_hook.sources.file import FileTap
-from device.drive.exposure import DoseSums
 from device.errors import InternalError, LostError, NotFoundError, UsageError, WriteError
 from device.units import Float32Array
 
@@ -42,7 +41,8 @@ class Played:
     the vibration as sent to the device, after gain, damping and protection; at least -150.
     protection_db: largest attenuation by protection that was seen, 0 or more. limited_blocks:
     number of blocks of 2 ms in which protection limited the vibration.
-    dose: vibration dose that the trial added; None without a rig.
+    a8_m_s2, vdv_m_s175: exposure by this trial alone (see `Exposure`); None without a rig. Of
+    several trials, squares of A(8) and fourth powers of VDV add up.
     """
 
     sound_began_s: float | None
@@ -53,7 +53,8 @@ class Played:
     level_dbfs: float
     protection_db: float
     limited_blocks: int
-    dose: DoseSums | None
+    a8_m_s2: float | None
+    vdv_m_s175: float | None
 
 
 class Player(Protocol):
@@ -80,8 +81,8 @@ class Player(Protocol):
         """End the trial that plays with a fade of 50 ms. Any thread; without a trial, nothing."""
         ...
 
-    def wait(self, timeout_s: float) -> str:
-        """Wait until the daemon can play a trial; return "", or after the time, why it cannot."""
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until the daemon can play a trial; return whether it can."""
         ...
 
     def close(self) -> None:
@@ -92,6 +93,7 @@ class Player(Protocol):
 class DaemonPlayer:
     """Plays trials through this user's daemon; implements `Player`.
 
+    why_not: why the daemon could not play a trial when it was last asked, or "".
     NotFoundError: no daemon runs. UsageError: another program plays trials.
     """
 
@@ -129,13 +131,9 @@ class DaemonPlayer:
             self._file.unlink(missing_ok=True)
         if "lost" in answer:
             raise NotPlayedError(f"the trial was not played: {answer['lost']}")
-        began_s, dose = answer.pop("began_s"), answer.pop("dose")
-        return Played(
-            None if sound is None else began_s,
-            None if vibration is None else began_s,
-            dose=None if dose is None else DoseSums(**dose),
-            **answer,
-        )
+        began_s = answer.pop("began_s")
+        heard_s, felt_s = (None if path is None else began_s for path in (sound, vibration))
+        return Played(heard_s, felt_s, **answer)
 
     def stop(self) -> None:
         """End the trial that plays with a fade."""
@@ -143,21 +141,24 @@ class DaemonPlayer:
             with suppress(LostError):
                 self._say({"stop": True})
 
-    def wait(self, timeout_s: float) -> str:
+    def wait(self, timeout_s: float) -> bool:
         """Wait until the daemon can play a trial; see `Player`."""
         end_s = time.monotonic() + timeout_s
         while (why := self._ready()) and time.monotonic() < end_s:
             time.sleep(ASK_S)
-        return why
+        return not why
 
     def close(self) -> None:
         """End the session with the daemon. May be repeated."""
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)  # wakes `play` in another thread
         self._socket.close()
         self._folder.close()
 
     def _ready(self) -> str:
         self._say({"ready": True})
-        return str(self._heard(ANSWER_S).get("why", ""))
+        self.why_not = str(self._heard(ANSWER_S).get("why", ""))
+        return self.why_not
 
     def _say(self, document: dict[str, Any]) -> None:
         try:
@@ -212,7 +213,7 @@ def _read(path: Path) -> Float32Array:
     """Return a file's frames at 48 kHz, (frames, channels)."""
     if path.suffix == ".npy":
         try:
-            return np.load(path, allow_pickle=False).astype(np.float32).reshape(-1, 1)
+            return np.asarray(np.load(path, allow_pickle=False), np.float32).reshape(-1, 1)
         except (OSError, ValueError, EOFError) as error:
             raise UsageError(f"{path} is no array of numbers ({error})") from None
     tap, parts = FileTap(path), []
