@@ -27,6 +27,7 @@ from audioflinger_hook.study.session import Person, Simulated
 from audioflinger_hook.study.session import run as run_session
 from audioflinger_hook.study.stimuli import Stimuli
 from audioflinger_hook.study.trials import session
+from audioflinger_hook.trials.page import PageAnswers
 from audioflinger_hook.trials.player import DaemonPlayer
 from audioflinger_hook.trials.record import TrialRecord
 from device.atomic_file import write_bytes_atomically
@@ -199,8 +200,6 @@ def _live(design: Design, stimuli: Stimuli, code: str | None) -> None:
         raise UsageError("--participant CODE is missing; give an anonymous code, such as P01")
     number, path = records.admit(design, code, False)
     total = len(session(design, number))
-    from audioflinger_hook.trials.page import PageAnswers
-
     with ExitStack() as opened:
         player = opened.enter_context(closing(DaemonPlayer()))
         answers = opened.enter_context(closing(PageAnswers(player.stop, _show)))
@@ -211,6 +210,7 @@ def _live(design: Design, stimuli: Stimuli, code: str | None) -> None:
         try:
             for _ in run_session(design, number, record, stimuli, person):
                 pass
+            person.thank()
         finally:
             if len(record.trials) < total:
                 told = f"{len(record.trials)} of {total} trials are recorded; go on with"

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -12,12 +13,10 @@ from audioflinger_hook.study.people import People
 from audioflinger_hook.study.stimuli import Stimuli, Vibration
 from audioflinger_hook.study.trials import Trial, at_level, counted, session, tested
 from audioflinger_hook.trials import page
-from audioflinger_hook.trials.player import NotPlayedError, Played, Player
-from device.drive.exposure import DAY_S
+from audioflinger_hook.trials.player import Played, Player
 from device.units import FloatArray
 
 PRACTICE_BELOW_DB = 2.0  # level of adaptive practice trials, below the strongest
-WAIT_S = 60.0  # time to wait for a lost device before the next look
 ASKED = {
     "preference": "Which vibration fits the sound better?",
     "rating": "How well does the second vibration fit, if the first one fits perfectly?",
@@ -29,6 +28,7 @@ ASKED = {
 }
 LABELS = {"1": "First", "2": "Second", "yes": "Yes", "no": "No"}
 PAUSE = "Take a pause. Go on when you are ready."
+THANKS = "This was the last question. Thank you for taking part."
 
 
 class _Record(Protocol):
@@ -111,9 +111,6 @@ def trial_of(row: Mapping[str, Any]) -> Trial:
 def _played(i: int, file: Vibration, played: Played) -> dict[str, Any]:
     """Return the columns of what interval i played. JSON has null for the level of silence."""
     measured = {"vibration_sha256": file.digest, "weighted_db": file.weighted_db, **vars(played)}
-    dose = measured.pop("dose")
-    measured["a8_m_s2"] = dose and math.sqrt(dose.squares / DAY_S)
-    measured["vdv_m_s175"] = dose and dose.fourths**0.25
     return {
         f"{key}_{i + 1}": None if isinstance(value, float) and not math.isfinite(value) else value
         for key, value in measured.items()
@@ -142,35 +139,24 @@ class Person:
         """Play all intervals, as often as the person asks, and return the answer."""
         asked = self._asked(trial, question)
         columns: dict[str, Any] = {}
-        again = pauses = 0
+        again = 0
         while True:
-            is_stopped = False
             for i, file in enumerate(files):
                 title = LABELS[str(i + 1)] if len(files) > 1 else asked.title
-                self._answers.show(page.Question(page.Kind.PLAYING, title))
-                played = self._play(file)
+                screen = replace(asked, kind=page.Kind.PLAYING, title=title, choices=(), also=())
+                where = file.sound, file.path
+                played = page.play_whole(self._player, self._answers, where, screen)
                 columns |= _played(i, file, played)
-                is_stopped = is_stopped or played.stopped
-            if is_stopped:  # by a pause
-                pauses += 1
-                self.pause()
-                continue
             given = self._answers.ask(asked)
             if given.value != page.AGAIN.value:
                 break
             again += 1
-        about = {"answered_after_s": given.after_s, "again": again, "pauses": pauses + given.pauses}
+        about = {"answered_after_s": given.after_s, "again": again, "pauses": given.pauses}
         return {**columns, "answer": given.value, **about}
 
-    def _play(self, file: Vibration) -> Played:
-        while True:
-            try:
-                return self._player.play(file.sound, file.path)
-            except NotPlayedError as error:
-                lost = f"The device is not there: {error}. The trial goes on when it is back."
-                self._answers.show(page.Question(page.Kind.PLAYING, "Please wait", (lost,)))
-                while not self._player.wait(WAIT_S):
-                    pass
+    def thank(self) -> None:
+        """Show that the session is over."""
+        self._answers.show(self._text("The end", THANKS, ()))
 
     def _asked(self, trial: Trial, question: Question) -> page.Question:
         key = question.judgement if question.paradigm == "synchrony" else question.paradigm
@@ -214,7 +200,7 @@ class Simulated:
         for i, file in enumerate(files):
             began_s = self._now_s if file.sound else None
             levels = file.peak_dbfs, file.level_dbfs
-            played = Played(began_s, self._now_s, file.seconds, False, *levels, 0.0, 0, None)
+            played = Played(began_s, self._now_s, file.seconds, False, *levels, 0.0, 0, None, None)
             columns |= _played(i, file, played)
             self._now_s += file.seconds + GAP_S
         answer, after_s = self._people.answer(trial, self._number)

@@ -3,6 +3,7 @@
 import json
 import random
 import signal
+from pathlib import Path
 
 import pytest
 
@@ -66,7 +67,8 @@ def test_kill_9_at_20_random_moments_loses_and_repeats_no_trial(tmp_path):
         "import os, time\n_sync = os.fsync\n"
         "os.fsync = lambda fd: (time.sleep(0.02), _sync(fd), time.sleep(0.02))\n"
     )
-    rng, kills, seen = random.Random(2), 0, {}
+    rng, kills = random.Random(2), 0
+    seen: dict[Path, list[bytes]] = {}
     for _ in range(20 * KILLS):
         command = ("study", "run", tmp_path / "parts", "--simulate", people)
         with start(*command, prelude=slow) as process:
@@ -87,15 +89,14 @@ def test_kill_9_at_20_random_moments_loses_and_repeats_no_trial(tmp_path):
 
 def test_a_full_disk_ends_the_session_with_the_last_trial_saved(tmp_path):
     design = make_study(tmp_path, "preference")
-    with TrialRecord(tmp_path / "r.jsonl", design.digest) as record:
-        append = record.append
 
-        def full(row):
-            if len(record.trials) == 5:
+    class Full(TrialRecord):
+        def append(self, trial):
+            if len(self.trials) == 5:
                 raise WriteError("the disk is full; 5 trials are saved")
-            append(row)
+            super().append(trial)
 
-        record.append = full
+    with Full(tmp_path / "r.jsonl", design.digest) as record:
         who = Simulated(People(design, {}, 1, 2), 0)
         with pytest.raises(WriteError):
             list(run(design, 0, record, None, who))
@@ -137,7 +138,7 @@ def test_a_design_changed_after_the_first_participant_is_refused(tmp_path, name)
 
 
 class ScriptedPage:
-    """Answers like a page, with the first choice; now and then asks for the trial again."""
+    """Answers like a page, with the first choice, and once asks for the trial again."""
 
     def __init__(self):
         self.asked, self.shown = [], []
@@ -152,6 +153,9 @@ class ScriptedPage:
         slider = question.kind is page.Kind.SLIDER
         return page.Answer(50.0 if slider else question.choices[0].value, 1.0)
 
+    def wait(self):
+        pass
+
 
 class ScriptedPlayer:
     """Loses its device once, and is stopped once."""
@@ -164,7 +168,7 @@ class ScriptedPlayer:
         self.played.append((sound, vibration))
         if len(self.played) == 5:
             raise NotPlayedError("the device was lost")
-        return Played(1.0, 1.0, 0.5, len(self.played) == 9, -6.0, -20.0, 0.0, 0, None)
+        return Played(1.0, 1.0, 0.5, len(self.played) == 9, -6.0, -20.0, 0.0, 0, None, None)
 
     def wait(self, timeout_s):
         self.waited += 1
@@ -186,9 +190,9 @@ def test_a_person_hears_again_waits_for_the_device_and_answers_each_trial_once(t
         rows = record.trials
     assert [row["trial"] for row in rows] == list(range(1, total + 1))
     assert sum(row["again"] for row in rows) == 1
-    assert sum(row["pauses"] for row in rows) == 1
     assert player.waited == 2
-    assert sum(q.title == "Pause" for q in answers.asked) == 1 + (total - 12) // 50
+    assert len(player.played) == 2 + 2 + sum(1 + ("condition_2" in row) for row in rows)
+    assert sum(q.title == "Pause" for q in answers.asked) == (total - 12) // 50
     kinds = {q.kind for q in answers.asked if q.choices or q.kind is page.Kind.SLIDER}
     assert kinds == {page.Kind.CHOICE, page.Kind.SLIDER, page.Kind.ONE_OF, page.Kind.TEXT}
     assert all(row["vibration_sha256_1"] or row["condition_1"] == "none" for row in rows)

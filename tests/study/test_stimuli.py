@@ -7,6 +7,7 @@ import pytest
 import soundfile
 from scipy.signal import sosfilt
 
+from audioflinger_hook.study.design_check import load
 from audioflinger_hook.study.stimuli import Stimuli
 from audioflinger_hook.study.trials import Trial
 from device.drive.exposure import wk_sections
@@ -30,8 +31,6 @@ def test_all_conditions_of_a_trial_have_the_same_weighted_level(tmp_path, level_
     )
     text = text.replace('["a", "b", "c"]', '["a", "b", "c", "d"]') + more
     (tmp_path / "design.toml").write_text(text)
-    from audioflinger_hook.study.design_check import load
-
     stimuli = Stimuli(load(tmp_path))
     files = [stimuli.vibration(Trial("preference", "x", (name, "a")), 0) for name in "abcd"]
     levels = [weighted_db(file.path) for file in files]
@@ -40,6 +39,7 @@ def test_all_conditions_of_a_trial_have_the_same_weighted_level(tmp_path, level_
     assert (stimuli.lowered_db["x"] > 1.0) == (level_db == 0)
     if level_db:
         assert [file.weighted_db for file in files] == pytest.approx([level_db] * 4, abs=MATCHED_DB)
+    assert files[0].path is not None
     assert files[0].digest == sha256(files[0].path.read_bytes()).hexdigest()
     assert files[0].digest != files[3].digest
     assert design.digest != stimuli._design.digest
@@ -71,11 +71,11 @@ def test_a_vibration_may_be_a_file_of_the_sounds_length(tmp_path):
     make_study(tmp_path, "preference")
     text = (tmp_path / "design.toml").read_text()
     (tmp_path / "design.toml").write_text(text.replace('"envelope"', '"v-{stimulus}.wav"'))
-    from audioflinger_hook.study.design_check import load
-
     for name, frames in (("x", 9_600), ("y", 5_000)):
         soundfile.write(tmp_path / f"v-{name}.wav", np.sin(np.arange(frames) / 90), 48_000)
     stimuli = Stimuli(load(tmp_path))
-    assert stimuli.vibration(Trial("preference", "x", ("b", "a")), 0).weighted_db < 0
+    assert stimuli.vibration(Trial("preference", "x", ("b", "a")), 0).weighted_db == pytest.approx(
+        -40, abs=0.01
+    )
     with pytest.raises(UsageError, match="make both equal"):
         stimuli.vibration(Trial("preference", "y", ("b", "a")), 0)

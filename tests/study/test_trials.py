@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from audioflinger_hook.study.trials import session
+from audioflinger_hook.study.trials import Trial, session
 from tests.support.studies import QUESTIONS, make_study
 
 
@@ -18,7 +18,7 @@ def test_each_condition_is_first_in_half_and_each_answer_left_in_half_of_the_tri
     design = make_study(tmp_path, paradigm)
     question = replace(design.questions[paradigm], repeats=repeats)
     trials = session(replace(design, questions={paradigm: question}), participant)
-    kinds = {}
+    kinds: dict[object, list[Trial]] = {}
     for trial in trials:
         if not trial.is_practice:
             key = (trial.stimulus, frozenset(trial.conditions), trial.offset_ms)
