@@ -13,7 +13,7 @@ Each of these modules has a class `Method`, a subclass of `stages.Baseline`. The
 from audioflinger_hook.baselines import band_pass, centroid, constant, envelope, octave_fold
 from audioflinger_hook.baselines.stages import Baseline
 
-__all__ = ["BASELINES", "CONSTANT", "Baseline"]
+__all__ = ["BASELINES", "Baseline"]
 
 BASELINES: dict[str, type[Baseline]] = {
     "band-pass": band_pass.Method,

@@ -61,7 +61,7 @@ def admit(design: Design, code: str, simulated: bool) -> tuple[int, Path]:
     if len(finished) >= design.study.participants:
         raise UsageError(
             f"the design ends after {design.study.participants} participants, and all have "
-            "finished; see the results with `cushion study report`"
+            f"finished; see `cushion study report {design.folder}`"
         )
     number = max([number for number, _ in known.values()], default=-1) + 1
     return number, design.folder / DATA / f"{number:04d}-{code}.jsonl"

@@ -2,7 +2,7 @@
 
 import json
 import random
-import signal
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -57,27 +57,42 @@ def write_people(tmp_path, count):
     return path
 
 
+def lines_in(tmp_path):
+    files = sorted((tmp_path / "parts/data").glob("*.jsonl"))
+    return [line for path in files for line in path.read_bytes().splitlines()]
+
+
+def ends_before(process, lines, tmp_path, timeout_s=60.0):
+    """Return the exit code of a process; None once there are more lines, or after a time."""
+    for _ in range(round(timeout_s / 0.01)):
+        try:
+            return process.wait(0.01)
+        except subprocess.TimeoutExpired:
+            if len(lines_in(tmp_path)) > lines:
+                return None
+    return None
+
+
 @pytest.mark.exhaustive
 def test_kill_9_at_20_random_moments_loses_and_repeats_no_trial(tmp_path):
-    make_study(tmp_path / "whole", "preference", "threshold", participants=2)
-    make_study(tmp_path / "parts", "preference", "threshold", participants=2)
-    people = write_people(tmp_path, 2)
+    for name in ("whole", "parts"):
+        make_study(tmp_path / name, "synchrony", participants=2)
+    people = write_people(tmp_path, 1)
     assert call("study", "run", tmp_path / "whole", "--simulate", people).code == 0
     slow = (
         "import os, time\n_sync = os.fsync\n"
         "os.fsync = lambda fd: (time.sleep(0.02), _sync(fd), time.sleep(0.02))\n"
     )
-    rng, kills = random.Random(2), 0
+    rng, kills, is_running = random.Random(2), 0, True
     seen: dict[Path, list[bytes]] = {}
-    for _ in range(20 * KILLS):
+    while is_running:
         command = ("study", "run", tmp_path / "parts", "--simulate", people)
         with start(*command, prelude=slow) as process:
-            try:
-                process.wait(rng.uniform(1.0, 2.5))
-                break
-            except Exception:
-                process.send_signal(signal.SIGKILL)
-                kills += 1
+            is_running = ends_before(process, sum(map(len, seen.values())), tmp_path) is None
+            if is_running:
+                is_running = ends_before(process, 10**9, tmp_path, rng.uniform(0.0, 0.3)) is None
+            process.kill()
+        kills += is_running
         for path in (tmp_path / "parts/data").glob("*.jsonl"):
             content = path.read_bytes().rpartition(b"\n")[0].splitlines()
             assert content[: len(seen.get(path, []))] == seen.get(path, [])
