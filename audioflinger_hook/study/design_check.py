@@ -44,6 +44,8 @@ def check(folder: Path) -> tuple[Design, list[Mistake]]:
 
     UsageError: there is no such file.
     """
+    if not (folder / DESIGN).exists():
+        raise UsageError(f"{folder} has no {DESIGN}; make it: `cushion study new {folder}`")
     content = text_of(folder / DESIGN)
     document, mistakes = parse(content)
     lines = lines_of_keys(content)

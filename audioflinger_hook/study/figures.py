@@ -1,6 +1,7 @@
 """Figures of the report, as SVG: estimates with their intervals, and the answers themselves."""
 
 import io
+from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -69,7 +70,8 @@ def figure_svg(
     text = io.StringIO()
     figure.savefig(text, format="svg", metadata={"Date": None})
     svg = text.getvalue()
-    label = f'role="img" aria-label="Estimates of {question.name}; the table has the numbers"'
+    what = f"{'SIMULATED ' * simulated}estimates of {question.name}; the table has the numbers"
+    label = f'role="img" aria-label="{escape(what)}"'
     return svg[svg.index("<svg") :].replace("<svg", f"<svg {label}", 1)
 
 

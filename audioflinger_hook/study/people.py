@@ -51,7 +51,7 @@ class People:
         index = list(self._design.questions).index(name)
         return self._drawn(name, np.random.default_rng((self._seed, index, person)))
 
-    def many(self, name: str, count: int = 20_000) -> list[dict[str, FloatArray]]:
+    def many(self, name: str, count: int = 4_000) -> list[dict[str, FloatArray]]:
         """Return the parameters of so many people. If all are equal, return those of one."""
         truth = self._truths[name]
         spread = any(truth[key].any() for key in truth if key.endswith("_spread"))
@@ -76,8 +76,9 @@ class People:
 
 def load_people(path: Path, design: Design) -> People:
     """Return the people of a JSON file. UsageError: it cannot be read, or has a mistake."""
+    text = text_of(path)
     try:
-        document = json.loads(text_of(path))
+        document = json.loads(text)
         if not isinstance(document, dict):
             raise UsageError("is not a JSON object")
         for key in document.keys() - {"people", "seed", "questions"}:

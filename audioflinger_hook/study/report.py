@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from hashlib import sha256
 from html import escape
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from importlib.resources import files
 from string import Template
 from typing import Any
@@ -23,6 +23,7 @@ from audioflinger_hook.transform import TRANSFORM_VERSION
 from device.errors import UsageError
 from device.values import counted
 
+FEW = 8  # under so many people, a bootstrap is too optimistic
 LIBRARIES = ("numpy", "scipy", "matplotlib")
 
 Results = dict[str, tuple[Estimate, list[float] | None, list[Answered]]]
@@ -91,7 +92,7 @@ def page(
         if is_before and not question.exploratory
     ]
     further = [part for part in parts if part not in planned]
-    further += [_closer(design.questions[name], *found[name][1:]) for name in design.questions]
+    further += [_closer(design.questions[name], found[name][2]) for name in design.questions]
     when = "was not registered before the first participant began"
     if registered is not None and is_before:
         when = f"was registered on {registered['registered']}, before the first participant began"
@@ -103,7 +104,7 @@ def page(
         registered=f"The design {when}.",
         planned="".join(planned) or "<p>There is none.</p>",
         further="".join(further) or "<p>There is none.</p>",
-        versions=_versions(design, people),
+        versions=_versions(design),
     )
 
 
@@ -128,6 +129,7 @@ def _question(
         "Dot: estimate. Line: 95 % interval. Small dots: participants, if each has an estimate."
     )
     legend += " Cross: true value." if true else ""
+    legend += " With so few people, the intervals are too short." if one.people < FEW else ""
     figure = f"<figure>{figure}<figcaption>{legend}</figcaption></figure>"
     heading = f"{escape(name)} <small>{question.paradigm}, {counted(one.people, 'people')}</small>"
     return f"<section><h3>{heading}</h3>{figure}{_table(one, true)}{tests}</section>"
@@ -147,7 +149,7 @@ def _number(value: float, unit: str) -> str:
     return f"{value:.{1 if unit in ('ms', 'dB', 'of 100') else 2}f}".replace("-", "−")
 
 
-def _closer(question: Question, true: object, answered: list[Answered]) -> str:
+def _closer(question: Question, answered: list[Answered]) -> str:
     """Return exploratory tables: each sound alone, and how often the first interval was chosen."""
     parts = []
     sounds = question.stimuli if question.paradigm != "identification" else ()
@@ -175,15 +177,11 @@ def _people(design: Design, people: Sequence[Participant]) -> str:
     return text
 
 
-def _versions(design: Design, people: Sequence[Participant]) -> str:
+def _versions(design: Design) -> str:
     table = (design.folder / DATA / TABLE).read_bytes()
     of = {"haptic-cushion": __version__, "transform": TRANSFORM_VERSION}
     of["Python"] = platform.python_version()
-    for name in LIBRARIES:
-        try:
-            of[name] = version(name)
-        except PackageNotFoundError:
-            of[name] = "unknown"
+    of |= {name: version(name) for name in LIBRARIES}
     rows = [
         (f"SHA-256 of {DESIGN}", design.digest),
         (f"SHA-256 of {TABLE}", sha256(table).hexdigest()),

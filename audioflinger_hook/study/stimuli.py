@@ -96,7 +96,8 @@ class Stimuli:
         pad = round(self.pad_s * rate)
         heard_path = None
         if heard or self._design.study.masking_db is not None:
-            heard_path = self._folder / f"{stimulus}{'' if heard else '-masking'}.wav"
+            named = f"{stimulus}{'' if heard else '-masking'}.wav"
+            heard_path = self._folder / named.replace("/", "_")
             _write(heard_path, self._masked(sound if heard else 0.0 * sound, pad, rate), rate)
         frames = len(sound) + 2 * pad
         if self._is_none(name):
