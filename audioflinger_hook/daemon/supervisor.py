@@ -77,7 +77,9 @@ class Supervisor:
             config, self.engines, self._drop_in, offsets or OffsetStore(), wake.ring
         )
         pcm = self._endpoints.trial_pcm
-        self.trials = Trials(pcm, folder, self.engines, self.alignment, self.states, wake.ring)
+        self.trials = Trials(
+            pcm, folder, self.engines, self.alignment, self.states, clocks.now_s, wake.ring
+        )
         self._stalls = StallDetector(self.states, clocks.slept_s)
         self._limits = LimitAdvice()
 

@@ -1,6 +1,6 @@
 """A session of trials with one client, which ends when the client leaves.
 
-The client sends lines of JSON, and gets a line for each of them:
+The session begins with `{"session": true}`. For each line of the client, it gets one line:
 
     {"ready": true}                         {"ready": true}, or {"ready": false, "why": text}
     {"play": "trial.npy"}                   what was played, or {"lost": text}, or {"error": text}
@@ -25,6 +25,7 @@ def play_trials(trials: Trials, talk: Talk) -> None:
         talk.say({"error": "another program plays trials; end it first"})
         return
     try:
+        talk.say({"session": True})
         while True:
             asked = talk.heard(WAIT_S)
             if asked is None or asked.keys() == {"stop"}:  # a trial may end before its stop

@@ -16,7 +16,7 @@ COLUMNS = 3  # of a trial's file: left and right sound, vibration
 CHANNELS = 4  # of the stream; the last one is silent
 FADE_S, LONGEST_S = 0.05, 120.0
 
-SILENT = 3e-8  # -150 dBFS
+SILENT = 10.0**-7.5  # -150 dBFS
 RMS_S = 0.3  # time constant of the core's mean square; its peaks fall by 20 dB/s
 
 
@@ -89,7 +89,8 @@ class TrialMeter:
     def __init__(self, chain: Chain) -> None:
         self._chain, self._page = chain, chain.page
         self._frames, self._before = self._page.frames, self._levels()
-        self._first, self._energy_s = self._before[:, 1], np.zeros(len(self._before))
+        self._energy_s = np.zeros(len(self._before))
+        self._bound = float(np.max(self._before[:, 0], initial=0.0))
         self._peak, self._gain = 0.0, 1.0
         self._doses, self._limited = self._dose_sums(), self._limited_blocks()
 
@@ -102,7 +103,8 @@ class TrialMeter:
         # a peak that has only fallen, by 20 dB/s, is one of before
         is_new = now[:, 0] > 1.001 * self._before[:, 0] * 10.0**-seconds
         self._peak = max(self._peak, float(np.max(now[is_new, 0], initial=0.0)))
-        self._energy_s += 0.5 * seconds * (now[:, 1] + self._before[:, 1])
+        kept = math.exp(-seconds / RMS_S)
+        self._energy_s += seconds * (now[:, 1] - kept * self._before[:, 1]) / (1.0 - kept)
         self._gain = min([self._gain, *(rig.protection().gain for rig in self._chain.rigs if rig)])
         self._frames, self._before = frames, now
 
@@ -112,16 +114,16 @@ class TrialMeter:
         seconds: duration of the trial.
         """
         self.look()
-        energy_s = self._energy_s + RMS_S * (self._before[:, 1] - self._first)
-        square = float(np.max(energy_s, initial=0.0)) / max(seconds, 1.0 / RATE_HZ)
+        energy_s = float(np.max(self._energy_s, initial=0.0))
+        rms = math.sqrt(max(0.0, energy_s) / max(seconds, 1.0 / RATE_HZ))
         both = zip(self._dose_sums(), self._doses, strict=True)
         doses = [now.plus(then, -1.0) for now, then in both]
         exposure = Exposure.of(doses) if doses else None
         return {
             "seconds": seconds,
-            "peak_dbfs": amplitude_to_db(max(self._peak, SILENT)),
-            "level_dbfs": amplitude_to_db(max(math.sqrt(square), SILENT)),
-            "protection_db": abs(amplitude_to_db(self._gain)),
+            "peak_dbfs": amplitude_to_db(max(self._peak or self._bound, SILENT)),
+            "level_dbfs": amplitude_to_db(max(rms, SILENT)),
+            "protection_db": abs(amplitude_to_db(max(self._gain, SILENT))),
             "limited_blocks": self._limited_blocks() - self._limited,
             "a8_m_s2": exposure and exposure.a8_m_s2,
             "vdv_m_s175": exposure and exposure.vdv,

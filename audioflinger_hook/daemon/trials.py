@@ -7,7 +7,6 @@ protection and exposure of the chain apply to it as to any vibration.
 
 import math
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from device.stream.pcms import Pcm, ServerDevice
 from device.stream.streams import PlaybackStream
 from device.units import Float32Array
 
-BLOCK_FRAMES = 1_024
+BLOCK_FRAMES = 2_048
 BEGINS_S = 2.0  # a trial that has not begun by then is lost
 POLL_S = 0.01
 LOST_S = 0.3  # from a loss to the answer; the sound fades out meanwhile
@@ -40,7 +39,8 @@ class Trials:
     """Plays one trial at a time while a client has a session open.
 
     `maintain` and `close` are for the main thread, the other methods for the client's thread.
-    pcm: plays the stream. folder: has the files of trials. ring: wakes the main thread.
+    pcm: plays the stream. folder: has the files of trials. now_s: returns time.monotonic().
+    ring: wakes the main thread.
     """
 
     def __init__(
@@ -50,11 +50,12 @@ class Trials:
         engines: Engines,
         alignment: Alignment,
         states: StateKeeper,
+        now_s: Callable[[], float],
         ring: Callable[[], None],
     ) -> None:
         self._pcm, self._folder = pcm, folder
         self._engines, self._alignment = engines, alignment
-        self._states, self._ring = states, ring
+        self._states, self._now_s, self._ring = states, now_s, ring
         self._session = threading.Lock()
         self._backoff = Backoff()
         self._stream: PlaybackStream | None = None
@@ -141,17 +142,20 @@ class Trials:
         lead_s = self._alignment.offset.lead_s(own_s, transform_s)
         path_s = own_s + self._alignment.offset.vibration_s + self._alignment.felt_s
         meter, stopped = TrialMeter(chain), False
+        pause = threading.Event()
         sound = self._playing = TrialSound(frames, lead_s)
-        asked_s = time.monotonic()
+        asked_s, lost_blocks = self._now_s(), self._lost_blocks()
         until_s = math.inf
-        while not sound.is_over((now_s := time.monotonic()) - path_s - AFTER_S) and now_s < until_s:
+        while not sound.is_over((now_s := self._now_s()) - path_s - AFTER_S) and now_s < until_s:
             if sound.stops:
-                time.sleep(POLL_S)
+                pause.wait(POLL_S)
             elif ends(POLL_S):
                 stopped = sound.stops = True
             lost = lost or self.why_not()
             if native.chain is not chain:
                 lost = lost or "the native engine was replaced"
+            if self._lost_blocks() != lost_blocks:
+                lost = lost or "a block came too late; close other programs"
             if sound.began_s is None and now_s > asked_s + BEGINS_S:
                 lost = lost or "the stream of the trial stands still"
             if lost and until_s == math.inf:
@@ -165,6 +169,10 @@ class Trials:
             "stopped": stopped,
             **meter.result(sound.played / RATE_HZ - abs(lead_s)),
         }
+
+    def _lost_blocks(self) -> int:
+        stream = self._stream
+        return stream.xruns + stream.silenced + stream.errors.total() if stream else -1
 
     def _fill(self, out: Float32Array, now_s: float) -> None:
         sound, stream = self._playing, self._stream

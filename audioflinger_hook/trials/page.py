@@ -3,7 +3,6 @@
 import asyncio
 import os
 import threading
-import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -15,8 +14,8 @@ from audioflinger_hook.trials.player import NotPlayedError, Played, Player
 from device.errors import CushionError, LostError, UsageError, not_installed
 
 RETURN_S = 120.0  # a page that is closed, or not opened, for this time is gone
-LOOK_S = 0.5  # between two looks whether the page is gone
 LAST_S = 0.3  # time for the last screen to reach the page
+AWAY_S = 2.0  # from the end of the page's connection until another address is told
 DEVICE_S = 1.0  # between two looks whether a lost device is back
 
 
@@ -121,8 +120,8 @@ def play_whole(
             if not played.stopped:
                 return played
         except NotPlayedError as error:
-            lost = f"The trial is played again as soon as possible. ({error})"
-            answers.show(Question(Kind.PLAYING, "The device is away", (lost,)))
+            lost = f"The trial is played again as soon as possible: {error}."
+            answers.show(Question(Kind.PLAYING, "One moment", (lost,)))
             while not player.wait(DEVICE_S):
                 answers.wait()
 
@@ -131,7 +130,8 @@ class PageAnswers:
     """Serves the page in a thread until `close`; implements `Answers`.
 
     If the person pauses, stops or closes the page, `on_stop` is called at once, in another thread:
-    give `Player.stop`. tell: called in that thread with the page's address, which opens it once.
+    give `Player.stop`. tell: called in that thread with the page's address, which opens it once,
+    and with another address while the page is closed. clock: returns the time of day.
     listen: HOST:PORT. UsageError: the address cannot be used, or a package is not installed.
     """
 
@@ -139,6 +139,7 @@ class PageAnswers:
         self,
         on_stop: Callable[[], None],
         tell: Callable[[str], None],
+        clock: Callable[[], float],
         listen: str = "127.0.0.1:0",
         environ: Mapping[str, str] = os.environ,
     ) -> None:
@@ -151,14 +152,18 @@ class PageAnswers:
         self._changed = threading.Condition()
         self._screen: dict[str, Any] = {"number": 0, "paused": False}
         self._answer: Answer | None = None
-        self._is_stopped, self._pages, self._left_s = False, 0, time.monotonic()
+        self._is_stopped, self._pages, self._is_gone = False, 0, False
+        self._leaving: asyncio.TimerHandle | None = None
         self._failure: CushionError | None = None
         folder, address = RuntimeFolder(environ, create=True), Listen.parse(listen)
-        self._server = PageServer(address, folder, 1.0, time.time, environ, self)
-        self._loop = asyncio.new_event_loop()
+        self._server = PageServer(address, folder, 1.0, clock, environ, self)
+        self._loop, self._told = asyncio.new_event_loop(), tell
+
+        self._address_of: Callable[[], str] = str
 
         def serve(served: Listen) -> None:
-            tell(f"{served.url}trial#{new_code(folder, time.time())}")
+            self._address_of = lambda: f"{served.url}trial#{new_code(folder, clock())}"
+            self._miss()
 
         def run() -> None:
             try:
@@ -192,7 +197,7 @@ class PageAnswers:
                 self._check()
                 if self._answer is not None:
                     return self._answer
-                self._changed.wait(LOOK_S)
+                self._changed.wait()
 
     def wait(self) -> None:
         """Return when the page is open and not paused. For errors, see `Answers`."""
@@ -201,7 +206,7 @@ class PageAnswers:
                 self._check()
                 if self._pages and not self._screen["paused"]:
                     return
-                self._changed.wait(LOOK_S)
+                self._changed.wait()
 
     def close(self) -> None:
         """Stop serving the page, which keeps its last screen. May be repeated."""
@@ -210,12 +215,23 @@ class PageAnswers:
             self._loop.call_soon_threadsafe(end)
         self._thread.join()
 
+    def _miss(self) -> None:
+        """Tell an address, except after the last screen, which has no choices; wait for a page."""
+        is_last = self._screen.get("kind") == Kind.TEXT.value and not self._screen["choices"]
+        if not (self._is_stopped or is_last):
+            self._told(self._address_of())
+        self._leaving = self._loop.call_later(RETURN_S, self._lose)
+
+    def _lose(self) -> None:
+        self._is_gone = True
+        self._note()
+
     def _check(self) -> None:
         if self._failure is not None:
             raise self._failure
         if self._is_stopped:
             raise StoppedError("the session was stopped on the page; all answers are kept")
-        if not self._pages and time.monotonic() - self._left_s > RETURN_S:
+        if self._is_gone:
             raise LostError("the page was closed; all answers are kept; run the command again")
 
     # ------------------------------------------------------------- called by the server's thread
@@ -223,13 +239,17 @@ class PageAnswers:
     def joined(self) -> None:
         """Note that a page has connected."""
         self._pages += 1
+        self._is_gone = False
+        if self._leaving is not None:
+            self._leaving.cancel()
         self._note()
 
     def left(self) -> None:
         """Note that a page has gone: the session pauses, and a trial that plays ends."""
-        self._pages, self._left_s = self._pages - 1, time.monotonic()
+        self._pages -= 1
         if not self._pages:
             self._pause(True)
+            self._leaving = self._loop.call_later(AWAY_S, self._miss)  # a reload is shorter
 
     def take(self, said: object) -> dict[str, Any]:
         """Take what a page says, and return what it is told."""

@@ -2,9 +2,8 @@
 
 import json
 import os
-import select
 import socket
-import time
+import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -38,8 +37,9 @@ class Played:
     file. Both are equal: the daemon aligns them by its offset.
     seconds: duration that was played. stopped: whether `stop` ended it early, with a fade.
     peak_dbfs, level_dbfs: peak, and r.m.s. over the duration, of the strongest actuator's signal:
-    the vibration as sent to the device, after gain, damping and protection; at least -150.
-    protection_db: largest attenuation by protection that was seen, 0 or more. limited_blocks:
+    the vibration as sent to the device, after gain, damping and protection; at least -150. Within
+    some seconds after a louder trial, the peak may be an upper bound.
+    protection_db: largest attenuation by protection that was seen, 0 to 150. limited_blocks:
     number of blocks of 2 ms in which protection limited the vibration.
     a8_m_s2, vdv_m_s175: exposure by this trial alone (see `Exposure`); None without a rig. Of
     several trials, squares of A(8) and fourth powers of VDV add up.
@@ -110,6 +110,7 @@ class DaemonPlayer:
         self._file = self._folder.path / f"trial-{os.getpid()}.npy"
         try:
             self._say({"ask": "trials", "protocol": PROTOCOL})
+            self._heard(ANSWER_S)
             self._ready()
         except BaseException:
             self.close()
@@ -143,10 +144,12 @@ class DaemonPlayer:
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until the daemon can play a trial; see `Player`."""
-        end_s = time.monotonic() + timeout_s
-        while (why := self._ready()) and time.monotonic() < end_s:
-            time.sleep(ASK_S)
-        return not why
+        pause = threading.Event()
+        for _ in range(1 + round(timeout_s / ASK_S)):
+            if not self._ready():
+                return True
+            pause.wait(ASK_S)
+        return False
 
     def close(self) -> None:
         """End the session with the daemon. May be repeated."""
@@ -168,14 +171,13 @@ class DaemonPlayer:
 
     def _heard(self, timeout_s: float) -> dict[str, Any]:
         """Return the daemon's next line. UsageError: the daemon refuses the request."""
-        end_s = time.monotonic() + timeout_s
         while b"\n" not in self._lines:
-            left_s = max(0.0, end_s - time.monotonic())
             try:
-                if not select.select([self._socket], [], [], left_s)[0]:
-                    raise InternalError("the daemon does not answer; restart it")
+                self._socket.settimeout(timeout_s)
                 received = self._socket.recv(65_536)
-            except (OSError, ValueError):  # ValueError: `close` was called
+            except TimeoutError:
+                raise InternalError("the daemon does not answer; restart it") from None
+            except OSError:  # `close` was called
                 received = b""
             if not received:
                 raise LostError(_ENDED)

@@ -78,7 +78,8 @@ def test_sound_and_vibration_of_a_trial_coincide(pipewire, noise, tmp_path):
         assert one.level_dbfs == pytest.approx(level_db, abs=0.3)
         assert one.peak_dbfs == pytest.approx(20.0 * np.log10(np.abs(felt).max()), abs=0.5)
         assert one.sound_began_s == one.vibration_began_s
-        assert (one.seconds, one.stopped) == (pytest.approx(SECONDS, abs=1e-3), False)
+        assert one.seconds == pytest.approx(SECONDS, abs=1e-3)
+        assert not one.stopped
 
 
 def test_the_vibration_waits_for_a_sound_whose_sink_declares_a_delay(
@@ -162,7 +163,7 @@ def test_a_trial_whose_device_is_unplugged_was_not_played_and_is_played_when_it_
             1.0, pipewire.pactl, ("unload-module", pipewire._modules["haptic"])
         )
         unplugging.start()
-        with pytest.raises(NotPlayedError, match="not played: waiting-for-device: .*haptic"):
+        with pytest.raises(NotPlayedError, match=r"not played: waiting-for-device: .*haptic"):
             player.play(long, long)
         unplugging.join()
         assert not player.wait(0.2)
@@ -176,18 +177,23 @@ def test_protection_and_exposure_are_in_the_way_of_a_trial(pipewire, long, tmp_p
     options = ("--rig", "consumer", "--protection", "on")
     loud = tmp_path / "loud.wav"
     soundfile.write(loud, 3.3 * tone(40.0, 1.0)[:, 0], RATE_HZ, subtype="FLOAT")
+    soft = tmp_path / "soft.wav"
+    soundfile.write(soft, 0.1 * tone(40.0, 1.0)[:, 0], RATE_HZ, subtype="FLOAT")
     environ = pipewire.environment
     with running(pipewire, *options, engine="native"), closing(DaemonPlayer(environ)) as player:
         assert player.wait(15.0)
-        played = player.play(None, loud)
-    print(played)
+        quiet, played, again = (player.play(None, one) for one in (soft, loud, soft))
+    print(quiet, played, again)
+    assert again.level_dbfs == pytest.approx(quiet.level_dbfs, abs=1.0)
+    assert again.peak_dbfs >= quiet.peak_dbfs - 0.5
+    assert (quiet.protection_db, quiet.limited_blocks) == (0.0, 0)
     assert played.sound_began_s is None
     assert played.protection_db > 1.0
     assert played.limited_blocks > 0
     assert played.a8_m_s2 is not None
     assert 0.0 < played.a8_m_s2 < 0.1
     assert played.vdv_m_s175 is not None
-    assert 0.01 < played.vdv_m_s175 < 1.0
+    assert 0.1 < played.vdv_m_s175 < 9.1
 
 
 def test_without_a_daemon_and_with_the_python_engine_it_says_what_to_do(pipewire):

@@ -6,7 +6,7 @@ import { element, fill, find } from "/elements.js";
 const GONE = "The program of the session does not answer. All answers are kept; run its command again.";
 const WAITING = { number: 0, kind: "playing", title: "One moment", text: [], choices: [], also: [], labels: [], parts: [], done: 0, total: 0 };
 const light = matchMedia("(prefers-color-scheme: light)");
-const state = { screen: WAITING, drawn: null, paused: false, pauses: 0, pausedMs: 0, pausedAt: 0, ended: false };
+const state = { screen: WAITING, drawn: null, paused: false, pauses: 0, pausedMs: 0, pausedAt: 0, ended: false, stopped: false };
 const connection = new Connection((kind, content) => {
   if (kind === "trial") take(content);
   else if (kind === "link") notice(state.ended ? "" : GONE);
@@ -19,6 +19,7 @@ function notice(text) {
 
 /** Show what the session's program sends: another screen, or the same one with a pause begun or ended. */
 function take(screen) {
+  if (state.stopped) return;
   notice("");
   if (screen.paused !== state.paused) pause(screen.paused);
   if (screen.number === state.screen.number) return;
@@ -148,8 +149,8 @@ find("paused").oncancel = (event) => {
 find("end").onclick = async () => {
   state.ended = true;
   await tell({ stopped: true });
-  find("paused").close();
   take({ ...WAITING, kind: "text", number: -1, title: "The session has ended", text: ["All answers are kept. You can close this page."], paused: false });
+  state.stopped = true;
 };
 const showTheme = () => { document.documentElement.dataset.theme = light.matches ? "light" : "dark"; };
 light.onchange = showTheme;
