@@ -2,6 +2,9 @@
 
 import argparse
 import json
+import math
+import time
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
 from datetime import UTC, datetime
 from hashlib import sha256
@@ -31,6 +34,7 @@ from audioflinger_hook.trials.page import PageAnswers
 from audioflinger_hook.trials.player import DaemonPlayer
 from audioflinger_hook.trials.record import TrialRecord
 from device.atomic_file import write_bytes_atomically
+from device.drive.exposure import ACTION_A8_M_S2
 from device.errors import UsageError
 from device.wav_output import WavOutput
 
@@ -202,20 +206,27 @@ def _live(design: Design, stimuli: Stimuli, code: str | None) -> None:
     total = len(session(design, number))
     with ExitStack() as opened:
         player = opened.enter_context(closing(DaemonPlayer()))
-        answers = opened.enter_context(closing(PageAnswers(player.stop, _show)))
+        answers = opened.enter_context(closing(PageAnswers(player.stop, _show, time.time)))
         record = opened.enter_context(_record(design, path, code, False))
-        person = Person(answers, player, total)
+        person, before = Person(answers, player, total), len(record.trials)
         if not record.trials and not person.agrees(design.study.consent):
             raise UsageError(f"participant {code} did not agree; no trial was played")
         try:
             for _ in run_session(design, number, record, stimuli, person):
-                pass
+                if _a8_m_s2(record.trials[before:]) > 0.5 * ACTION_A8_M_S2:
+                    much = f"participant {code} has felt half of a day's exposure (action value)"
+                    raise UsageError(f"{much}; go on another day, or with a lower level_db")
             person.thank()
         finally:
             if len(record.trials) < total:
                 told = f"{len(record.trials)} of {total} trials are recorded; go on with"
                 print(f"{told} `cushion study run {design.folder} --participant {code}`")
     print(f"participant {code} has finished")
+
+
+def _a8_m_s2(rows: Sequence[Mapping[str, Any]]) -> float:
+    """Return the exposure A(8) by all trials; intervals without a rig count as 0."""
+    return math.hypot(*(row.get(f"a8_m_s2_{i}") or 0.0 for row in rows for i in (1, 2)))
 
 
 def _show(address: str) -> None:

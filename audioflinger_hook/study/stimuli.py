@@ -35,14 +35,12 @@ SILENT = 1e-6  # r.m.s. of a vibration that counts as none
 
 @dataclass(frozen=True)
 class Vibration:
-    """Files of one interval. digest: SHA-256 of the vibration's file. weighted_db: its level, None
-    without vibration.
-    """
+    """Files of one interval. digest: SHA-256 of the vibration's file. Levels of silence: -inf."""
 
     sound: Path | None
-    path: Path | None
-    digest: str | None
-    weighted_db: float | None
+    path: Path
+    digest: str
+    weighted_db: float
     peak_dbfs: float
     level_dbfs: float
     seconds: float
@@ -100,14 +98,16 @@ class Stimuli:
             heard_path = self._folder / named.replace("/", "_")
             _write(heard_path, self._masked(sound if heard else 0.0 * sound, pad, rate), rate)
         frames = len(sound) + 2 * pad
-        if self._is_none(name):
-            return Vibration(heard_path, None, None, None, -np.inf, -np.inf, frames / rate)
-        condition = self._design.conditions[name]
-        vibration = self._levelled(stimulus, name) * 10.0 ** ((gain_db + condition.gain_db) / 20.0)
+        vibration, its_delay_ms = np.zeros(len(sound)), 0.0
+        if not self._is_none(name):
+            condition = self._design.conditions[name]
+            its_delay_ms = condition.delay_ms
+            gain = 10.0 ** ((gain_db + condition.gain_db) / 20.0)
+            vibration = self._levelled(stimulus, name) * gain
         if (peak := float(np.abs(vibration).max())) > 1.0:
             over = f"{stimulus!r} as {name!r} would exceed full scale by {20 * log10(peak):.1f} dB"
             raise UsageError(f"{over}; reduce level_db, gain_db or highest_db")
-        start = pad + round((offset_ms + condition.delay_ms) * rate / 1e3)
+        start = pad + round((offset_ms + its_delay_ms) * rate / 1e3)
         padded = np.zeros((frames, 1))
         padded[start : start + len(vibration), 0] = vibration
         named = f"{stimulus}-{name}{gain_db:+.1f}dB{offset_ms:+.0f}ms.wav"
