@@ -52,7 +52,7 @@ def figure_svg(
             ax.plot(estimate.values[i], y, "o", color=palette.INK, ms=6)
             if true is not None:
                 ax.plot(true[i], y, "x", color=palette.FELT, ms=8, mew=2)
-        ax.set_yticks(range(len(rows)), [estimate.names[i] for i in rows])
+        ax.set_yticks(range(len(rows)), [_shown(estimate.names[i]) for i in rows])
         ax.set(ylim=(len(rows) - 0.5, -0.5), xlabel=unit)
         if unit == "log odds" or unit == "dB":
             ax.axvline(0.0, color=palette.GREY, lw=0.8, ls=":")
@@ -84,6 +84,10 @@ def _groups(question: Question, estimate: Estimate) -> list[tuple[list[int], str
     return [(places, estimate.unit)]
 
 
+def _shown(name: str) -> str:
+    return name.replace("$", r"\$")  # else matplotlib sets it as a formula
+
+
 def _plain(ax: "Axes") -> None:
     for side in ("top", "right", "left"):
         ax.spines[side].set_visible(False)
@@ -105,9 +109,9 @@ def _draw_confusion(
     for (i, j), share in np.ndenumerate(table):
         colour = palette.WHITE if share > 0.45 else palette.INK
         ax.text(j, i, f"{100 * share:.0f} %", ha="center", va="center", color=colour)
-    ax.set_xticks(range(len(names)), names)
-    ax.set_yticks(range(len(names)), names)
-    ax.set(xlabel="answer", ylabel="sound", title=condition)
+    ax.set_xticks(range(len(names)), [*map(_shown, names)])
+    ax.set_yticks(range(len(names)), [*map(_shown, names)])
+    ax.set(xlabel="answer", ylabel="sound", title=_shown(condition))
 
 
 def _draw_curves(
@@ -122,7 +126,7 @@ def _draw_curves(
         of = [(t.offset_ms, counted(t, question, a)) for t, a in rows if t.conditions[0] == name]
         shares = np.array([np.mean([yes for at, yes in of if at == x]) for x in xs])
         colour = (palette.HEARD, palette.FELT, palette.INK, palette.GREY)[c % 4]
-        ax.plot(xs, shares, "o", color=colour, label=name)
+        ax.plot(xs, shares, "o", color=colour, label=_shown(name))
         values = np.array(estimate.values)
         place, jnd = values[c], values[len(question.conditions) + c]
         p = probability(question, fine, place, jnd)

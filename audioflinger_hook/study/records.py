@@ -35,9 +35,10 @@ class Participant:
 
 
 def record_files(design: Design) -> dict[str, tuple[int, Path]]:
-    """Return number and record file of each participant by code."""
+    """Return number and record file of each participant by code, except files without a header."""
     found = [(IN.fullmatch(path.name), path) for path in sorted((design.folder / DATA).glob("*"))]
-    return {match[2]: (int(match[1]), path) for match, path in found if match}
+    begun = [(match, path) for match, path in found if match and b"\n" in path.read_bytes()]
+    return {match[2]: (int(match[1]), path) for match, path in begun}
 
 
 def admit(design: Design, code: str, simulated: bool) -> tuple[int, Path]:
