@@ -228,10 +228,12 @@ def _sync(command: Parser) -> None:
 @_command("study", "design, run and report a study with people", "new first --design cinema")
 def _study(command: Parser) -> None:
     does = "make a folder with a design; check and register it; let a person take part; report"
-    command.add_argument("action", choices=("new", "check", "run", "report"), help=does)
+    actions = "new", "check", "run", "report"
+    command.add_argument("action", choices=actions, metavar="|".join(actions), help=does)
     command.add_argument("folder", type=Path, metavar="NAME", help="the study's folder")
     designs = "of `new`: cinema, delay or identify"
-    command.add_value("--design", str, "NAME", designs, "cinema")
+    chosen = command.add_value("--design", str, "NAME", designs, "cinema")
+    chosen.choices = ("cinema", "delay", "identify")
     command.add_value("--participant", str, "CODE", "of `run`: an anonymous code, such as P01")
     people = "of `run`: people with known true parameters, in place of a person"
     command.add_value("--simulate", Path, "PEOPLE.json", people)

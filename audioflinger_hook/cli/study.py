@@ -38,7 +38,6 @@ from device.drive.exposure import ACTION_A8_M_S2
 from device.errors import UsageError
 from device.wav_output import WavOutput
 
-BUILT_IN = ("cinema", "delay", "identify")
 SOUNDS = {"explosion": explosion, "speech": speech, "engine": engine, "music": chord}
 RATE, PEAK = 48_000, 0.5
 PREREGISTRATION, REPORT = "preregistration.json", "report.html"

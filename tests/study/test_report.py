@@ -87,6 +87,12 @@ def test_a_mistake_in_the_simulated_people_is_told(tmp_path, content, words):
     assert (done.code, words in done.stderr) == (2, True), done
 
 
+def test_an_unknown_built_in_design_makes_no_folder(tmp_path):
+    done = call("study", "new", tmp_path / "s", "--design", "cinma")
+    assert (done.code, "did you mean cinema?" in done.stderr) == (2, True)
+    assert not (tmp_path / "s").exists()
+
+
 def test_nobody_took_part_is_said(tmp_path):
     make_study(tmp_path, "preference")
     done = call("study", "report", tmp_path)
