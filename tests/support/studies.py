@@ -24,7 +24,7 @@ TRUTHS = {
     "synchrony": {"pss_ms": 20, "pss_ms_spread": 20, "jnd_ms": 80, "jnd_ms_spread": 10},
     "threshold": {"threshold_db": {"a": -20, "b": -15}, "threshold_db_spread": 3},
     "equal": {"equal_db": {"b": 3}, "equal_db_spread": 2},
-    "identification": {"accuracy": {"a": 0.7, "b": 0.45}, "accuracy_spread": 0.08},
+    "identification": {"accuracy": {"a": 0.85, "b": 0.7}, "accuracy_spread": 0.08},
 }
 """True parameters of simulated people, by paradigm."""
 
