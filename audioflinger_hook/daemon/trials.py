@@ -6,6 +6,7 @@ protection and exposure of the chain apply to it as to any vibration.
 """
 
 import math
+import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -61,7 +62,7 @@ class Trials:
         self._stream: PlaybackStream | None = None
         self._guard: StreamGuard | None = None
         self._playing: TrialSound | None = None
-        self._problem = ""
+        self._problem = self._unheard = ""
 
     def maintain(
         self, connection: PulseConnection | None, heard: str, felt: str, now_s: float
@@ -72,8 +73,12 @@ class Trials:
         )
         if not self._problem and heard in ("", felt):
             self._problem = f"the sound would go to {heard or 'no sink'}; choose another output"
+        sinks = [connection.latest.sink(name) for name in (heard, felt)] if connection else []
+        muted = [f"{sink.name} is muted; unmute it" if sink and sink.mute else "" for sink in sinks]
+        self._unheard, unfelt = muted or ("", "")
+        self._problem = self._problem or unfelt
         wants = self._session.locked() and connection is not None and not self._problem
-        ends = TrialEnds(f"{NAME}-{id(self):x}-trials", heard)
+        ends = TrialEnds(f"{NAME}-{os.getpid()}-trials", heard)
         self._engines.native.set_trial(ends if wants else None)
         if self._stream is not None and (not wants or self._stream.is_lost(now_s)):
             self.close()
@@ -134,7 +139,7 @@ class Trials:
             return {"lost": "the daemon has no folder of its own"}
         frames, native = TrialSound.read(self._folder / name), self._engines.native.engine
         chain = native.chain if native is not None else None
-        lost = self.why_not()
+        lost = self.why_not() or (self._unheard if frames[:, :2].any() else "")
         if lost or native is None or chain is None:
             return {"lost": lost or "the native engine has ended"}
         own_s = 1e-3 * sum(parts_of_native(native, chain).values())

@@ -113,8 +113,8 @@ def play_whole(
     see `Answers.ask` and `Player.play`.
     """
     while True:
-        answers.wait()
         answers.show(question)
+        answers.wait()
         try:
             played = player.play(*files)
             if not played.stopped:
@@ -158,7 +158,6 @@ class PageAnswers:
         folder, address = RuntimeFolder(environ, create=True), Listen.parse(listen)
         self._server = PageServer(address, folder, 1.0, clock, environ, self)
         self._loop, self._told = asyncio.new_event_loop(), tell
-
         self._address_of: Callable[[], str] = str
 
         def serve(served: Listen) -> None:
@@ -262,8 +261,12 @@ class PageAnswers:
             case {"number": number, "value": value, "after_s": float(s) | int(s), "pauses": int(n)}:
                 with self._changed:
                     screen = self._screen
-                    known = [one["value"] for one in (*screen["choices"], *screen["also"])]
-                    is_slid = screen["kind"] == Kind.SLIDER.value and type(value) in (int, float)
+                    choices = (*screen.get("choices", ()), *screen.get("also", ()))
+                    known = [one["value"] for one in choices]
+                    is_slid = screen.get("kind") == Kind.SLIDER.value and type(value) in (
+                        int,
+                        float,
+                    )
                     if number != screen["number"] or not (
                         value in known or (is_slid and 0 <= value <= 100)
                     ):

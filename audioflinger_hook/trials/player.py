@@ -99,7 +99,8 @@ class DaemonPlayer:
 
     def __init__(self, environ: Mapping[str, str] = os.environ) -> None:
         self._lines = b""
-        self._plays = False
+        self._sending = threading.Lock()
+        self._plays = self._stops = False  # whether a trial was asked for, and its end
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._folder = RuntimeFolder(environ, create=False)
@@ -118,14 +119,18 @@ class DaemonPlayer:
 
     def play(self, sound: Path | None, vibration: Path | None) -> Played:
         """Play both files; see `Player`."""
+        self._stops = False
         frames = mixed(sound, vibration)
         try:
             np.save(self._file, frames)
         except OSError as error:
             raise WriteError(f"cannot write {self._file}: {error.strerror}") from error
-        self._plays = True
         try:
-            self._say({"play": self._file.name})
+            with self._sending:
+                self._say({"play": self._file.name})
+                self._plays = True
+                if self._stops:
+                    self._say({"stop": True})
             answer = self._heard(len(frames) / RATE_HZ + 2.0 * ANSWER_S)
         finally:
             self._plays = False
@@ -138,8 +143,9 @@ class DaemonPlayer:
 
     def stop(self) -> None:
         """End the trial that plays with a fade."""
-        if self._plays:
-            with suppress(LostError):
+        with self._sending, suppress(LostError):
+            self._stops = True
+            if self._plays:
                 self._say({"stop": True})
 
     def wait(self, timeout_s: float) -> bool:
