@@ -204,6 +204,18 @@ def test_without_a_daemon_and_with_the_python_engine_it_says_what_to_do(pipewire
         assert "trials need the native engine" in player.why_not
 
 
+def test_a_muted_output_is_told_and_matters_only_for_a_sound(pipewire, noise):
+    pipewire.pactl("set-sink-mute", "desktop", "1")
+    with running(pipewire, engine="native"), closing(DaemonPlayer(pipewire.environment)) as player:
+        assert player.wait(10.0)
+        with pytest.raises(NotPlayedError, match="desktop is muted; unmute it"):
+            player.play(noise, noise)
+        assert player.play(None, noise).level_dbfs > -30.0
+        pipewire.pactl("set-sink-mute", "haptic", "1")
+        wait_for(lambda: not player.wait(0.0), "the mute of the device")
+        assert player.why_not == "haptic is muted; unmute it"
+
+
 @pytest.mark.parametrize(
     ("files", "said"),
     [
