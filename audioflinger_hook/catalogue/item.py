@@ -13,11 +13,14 @@ from urllib.parse import urlsplit
 from audioflinger_hook.catalogue import addresses
 from audioflinger_hook.catalogue.addresses import is_url, scrubbed
 from audioflinger_hook.config.profiles import PROFILES
+from audioflinger_hook.exports.options import FORMATS
 from device.values import Choice, Described, Number, Refusal, Text
 
 LONGEST_S = 1e7
 RESERVED = re.compile(r"catalogue|failed(-\d+-of-\d+)?")  # names of files that a run writes itself
 NAME_BYTES_MAX = 200
+OWN_FILES = re.compile(rf"({RESERVED.pattern})\.jsonl?")
+WRITTEN = (".json", *(one.suffixes[0] for one in FORMATS.values()))  # suffixes of files of a run
 USABLE_BYTES = 160  # of a part of a path in a default id; a hash and the start may follow
 
 ALIASES = {  # maps column names of NeMo and lhotse to the names used here
@@ -62,9 +65,9 @@ class _Name(Text):
         parts = value.split("/")
         if any(part in ("", ".", "..") for part in parts) or not value.isprintable():
             return Refusal("is not a name of a result", self.allowed)
-        if max(len(os.fsencode(part)) for part in parts) > NAME_BYTES_MAX:
+        if max(len(part.encode()) for part in parts) > NAME_BYTES_MAX:
             return Refusal("is too long", f"up to {NAME_BYTES_MAX} bytes between two slashes")
-        if RESERVED.fullmatch(value):
+        if RESERVED.fullmatch(value) or OWN_FILES.fullmatch(parts[0]):
             return Refusal("is the name of a file of the run itself", "another name")
         return None
 
@@ -128,7 +131,7 @@ def default_id(audio: str, start_s: object, root: str = "", *, whole: bool = Fal
     stem, _, suffix = last.rpartition(".")
     if stem and suffix and not whole:
         last = stem
-    name = "/".join(map(_usable, (*folders, last)))
+    name = "/".join([*(_usable(part, part.endswith(WRITTEN)) for part in folders), _usable(last)])
     if RESERVED.fullmatch(name):
         return default_id(audio, start_s, root, whole=True)
     if isinstance(start_s, (int, float)) and start_s > 0.0:
@@ -136,11 +139,11 @@ def default_id(audio: str, start_s: object, root: str = "", *, whole: bool = Fal
     return name
 
 
-def _usable(part: str) -> str:
-    """Return a part of a path; if it cannot be printed or is too long, with a hash of it."""
-    content = os.fsencode(part)
-    if part.isprintable() and len(content) <= USABLE_BYTES:
+def _usable(part: str, is_taken: bool = False) -> str:
+    """Return a part of a path; if it cannot be printed or used, with a hash of it."""
+    if part.isprintable() and len(part.encode()) <= USABLE_BYTES and not is_taken:
         return part
+    content = os.fsencode(part)
     start = "".join(one if one.isprintable() else "_" for one in part).encode()[:USABLE_BYTES]
     return f"{start.decode(errors='ignore')}-{blake2b(content, digest_size=4).hexdigest()}"
 

@@ -280,7 +280,7 @@ class Manifest:
 
 
 def _hash(name: str) -> int:
-    return int.from_bytes(blake2b(os.fsencode(name), digest_size=8).digest())
+    return int.from_bytes(blake2b(name.encode(), digest_size=8).digest())
 
 
 _true_folder: Callable[[str], str] = lru_cache(maxsize=1024)(os.path.realpath)

@@ -63,18 +63,19 @@ class LocalStorage:
 
     def stamp(self, name: str) -> Stamp | None:
         """Return the `Stamp` of a file; None if there is no file."""
-        with suppress(FileNotFoundError, NotADirectoryError):
-            return _local_stamp(f"{self._root}/{name}")
+        path = f"{self._root}/{name}"
+        with _if_present(path):
+            return _local_stamp(path)
         return None
 
     def read(self, name: str) -> bytes | None:
         """Return the content of a small file; None if there is no file."""
-        try:
-            file = os.open(f"{self._root}/{name}", os.O_RDONLY | os.O_CLOEXEC)
-        except (FileNotFoundError, NotADirectoryError):
-            return None
-        with os.fdopen(file, "rb", 0) as opened:
-            return opened.read()
+        path = f"{self._root}/{name}"
+        with _if_present(path):
+            file = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # may be a pipe
+            with os.fdopen(file, "rb", 0) as opened:
+                return opened.read() or b""
+        return None
 
     def write(self, name: str, content: bytes) -> None:
         """Write a small file. A power failure may leave part of the file, which readers detect."""
@@ -239,6 +240,17 @@ def sha256_of(path: Path) -> str:
         return digest(path)
     except OSError as error:
         raise UsageError(f"{path} cannot be read ({error.strerror})") from error
+
+
+@contextmanager
+def _if_present(path: str) -> Iterator[None]:
+    """Ignore that a file is missing. UsageError: it cannot be used for another reason."""
+    try:
+        yield
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read ({error.strerror}); check or delete it") from error
 
 
 def _local_stamp(path: str | Path) -> Stamp:

@@ -122,10 +122,8 @@ def status_of(recipe: Recipe, items: Iterable[Item], timing: Timing) -> Iterator
             continue
         try:
             yield timing.repeated(lambda: _status_with(recipe, storage, name, key))  # noqa: B023
-        except DeathError as error:
+        except (DeathError, UsageError) as error:
             yield ItemStatus("unreadable", str(error))
-        except OSError as error:
-            raise UsageError(f"{recipe.out}/{name} cannot be read ({error.strerror})") from error
 
 
 def _status_with(recipe: Recipe, storage: Storage, name: str, key: str | None) -> ItemStatus:

@@ -1,11 +1,9 @@
 """The `cushion` command: one module for each subcommand."""
 
 import contextlib
-import ctypes
 import errno
 import io
 import os
-import resource
 import signal
 import sys
 import traceback
@@ -15,12 +13,12 @@ from types import FrameType
 from typing import TextIO
 
 from audioflinger_hook.cli.parser import NEXT, build_parser
-from device.errors import CushionError, UsageError, WriteError, unexpected
+from device.errors import CushionError, WriteError, unexpected
 from device.interruption import repeat_lost_interruptions
+from device.memory_limit import NUMPY_MB, respect_memory_limit
 
 EXIT_INTERRUPTED = 130
-M_ARENA_MAX = -8  # of glibc's malloc.h
-NEEDED_MB = 320  # address space of a process that has loaded NumPy and SciPy
+LIGHT = ("check", "status")  # commands that multiply no matrices
 
 STDOUT_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # `errno` of a failed `print`
 
@@ -65,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(arguments: Sequence[str]) -> int:
     if not {"-h", "--help", "--version"} & set(arguments):
-        _check_memory()
+        respect_memory_limit(NUMPY_MB)
     parser = build_parser()
     try:
         options = parser.parse_args(arguments)
@@ -75,22 +73,11 @@ def _run(arguments: Sequence[str]) -> int:
         parser.print_help()
         print(f"\n{NEXT}")
         return 0
+    if options.command not in LIGHT:
+        respect_memory_limit()
     # Import only the module of this command, because some imports are slow.
     module = import_module(f"audioflinger_hook.cli.{options.command.replace('-', '_')}")
     return int(module.run(options))
-
-
-def _check_memory() -> None:
-    """Raise UsageError if NumPy or SciPy cannot be loaded: OpenBLAS would end the process."""
-    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if limit == resource.RLIM_INFINITY:
-        return
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # each thread takes memory
-    with contextlib.suppress(AttributeError):  # only glibc has it
-        ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)  # so does each arena
-    if limit < NEEDED_MB << 20:
-        few = f"this process may use {limit >> 20} MB of memory (ulimit -v)"
-        raise UsageError(f"{few}; allowed: at least {NEEDED_MB} MB; raise the limit")
 
 
 def _prepare_streams() -> None:

@@ -11,6 +11,7 @@ from typing import Any
 from device.errors import UsageError
 from device.values import Refusal
 
+DOTS_MAX = 200  # in a line
 SYNTAX_ERRORS_MAX, CONFIG_BYTES_MAX, SHOWN_MAX = 50, 1 << 20, 200
 LISTED_MAX, LISTED_BYTES = 50, 18_000  # of mistakes; the others are counted
 
@@ -72,6 +73,9 @@ def parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
     """
     lines = text.split("\n")
     mistakes: list[Mistake] = []
+    if any(line.count(".") > DOTS_MAX and line.lstrip()[:1] != "#" for line in lines):
+        # The parser's time grows with the square of the number of parts of a key.
+        return {}, [Mistake("this file", 0, "", "is nested too deeply", "flat values")]
     for _ in range(SYNTAX_ERRORS_MAX):
         try:
             return tomllib.loads("\n".join(lines)), mistakes
@@ -115,7 +119,7 @@ def lines_of_keys(text: str) -> dict[str, int]:
     section = ""
     tables: dict[str, int] = {}
     for number, line in enumerate(text.split("\n"), 1):
-        if header := re.match(r"\s*\[+\s*([^\]]+?)\s*\]*\s*(#.*)?$", line):
+        if header := re.match(r"\s*\[+([^\]]+)\]*\s*(#.*)?$", line):
             name = _bare(header[1])
             lines.setdefault(name, number)
             if line.lstrip().startswith("[["):
@@ -123,8 +127,8 @@ def lines_of_keys(text: str) -> dict[str, int]:
                 name = f"{name}[{tables[name]}]"
                 lines.setdefault(name, number)
             section = name + "."
-        elif key := re.match(r"\s*([^=#]+?)\s*=", line):
-            name = section + _bare(key[1])
+        elif key := re.match(r"[^=#]+(?==)", line):
+            name = section + _bare(key[0])
             lines.setdefault(name, number)
             lines.setdefault(name.partition(".")[0], number)
     return lines

@@ -23,6 +23,7 @@ from audioflinger_hook.offline.render import RenderReport, render_file
 from audioflinger_hook.sources.tap import named
 from device.errors import CushionError, InternalError, UsageError, unexpected
 from device.interruption import repeat_lost_interruptions
+from device.memory_limit import respect_memory_limit
 from device.temporary_folder import delete_abandoned_folders, temporary_folder
 
 T = TypeVar("T")
@@ -110,7 +111,9 @@ class LocalWorkers(Place):
                 self._pool.shutdown(wait=True, cancel_futures=True)
                 threading.Event().wait(START_S)  # the forkserver may still be dying
                 self._pool = self._new_pool()
-        raise InternalError(f"workers cannot be started ({found}); end other programs") from found
+        raise InternalError(
+            f"workers cannot be started ({found}); run the command again"
+        ) from found
 
     def lost_worker(self, error: BaseException) -> bool:
         """Return whether `error` means that a process died."""
@@ -144,7 +147,8 @@ class LocalWorkers(Place):
             with warnings.catch_warnings():  # the threads of OpenBLAS allow a fork
                 warnings.simplefilter("ignore", DeprecationWarning)
                 pool.submit(usable_cores).result()
-        self._processes = pool._processes or {}
+        assert pool._processes is not None
+        self._processes = pool._processes  # filled later, in the case of a forkserver
         return pool
 
 
@@ -186,6 +190,7 @@ def _begin_worker(shares: MutableSequence[float]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     repeat_lost_interruptions()
+    respect_memory_limit()
 
     def end_with_parent() -> None:
         if parent := multiprocessing.parent_process():

@@ -9,12 +9,14 @@ import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import BrokenExecutor
 from pathlib import Path
 
 import psutil
 import pytest
 
 from audioflinger_hook.catalogue.storage import LocalStorage
+from audioflinger_hook.offline import batch
 from device.temporary_folder import PREFIX, temporary_folder
 from tests.support.catalogues import expected as results_of
 from tests.support.catalogues import library, results, rows
@@ -151,6 +153,28 @@ def test_a_killed_fork_server_is_no_fault_of_an_item(sounds, expected, tmp_path,
         _, stderr = process.communicate(timeout=60)
     assert (process.returncode, stderr) == (0, "")
     assert results(tmp_path / "out") == expected
+
+
+def kill_server():
+    os.kill(os.getppid(), signal.SIGKILL)
+    time.sleep(60.0)
+
+
+DEATHS = {
+    batch.DIED: (os._exit, 9),
+    batch.ENDED: (os._exit, 1),
+    "by SIGKILL, from outside": (signal.raise_signal, signal.SIGKILL),
+    batch.NO_SERVER: (kill_server,),
+}
+
+
+@pytest.mark.parametrize("reason", DEATHS)
+def test_the_cause_of_a_death_is_named(reason):
+    with batch.LocalWorkers(2, "os") as place:
+        future = place.submit(*DEATHS[reason])
+        with pytest.raises(BrokenExecutor):
+            future.result(60.0)
+        assert place.death().startswith(reason)
 
 
 class Cluster(contextlib.ExitStack):

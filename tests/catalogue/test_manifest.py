@@ -5,6 +5,7 @@ import gzip
 import json
 import os
 import random
+import re
 import time
 from itertools import islice
 
@@ -116,6 +117,7 @@ MISTAKES = {
     '{"audio": "a.wav", "id": "../x"}': "is not a name of a result",
     '{"audio": "a.wav", "id": "/x"}': "is not a name of a result",
     '{"audio": "a.wav", "id": "failed"}': "is the name of a file of the run",
+    '{"audio": "a.wav", "id": "failed-1-of-2.jsonl/a"}': "is the name of a file of the run",
     '{"audio": "a.wav", "id": 3}': "id='3' is not a name",
     '{"audio": "a.wav", "track": 0}': "track='0' is out of range",
     '{"audio": "a.wav", "durations_s": 3}': "did you mean duration_s?",
@@ -174,6 +176,8 @@ def test_two_items_of_one_name_are_a_mistake_even_on_disk(tmp_path, monkeypatch,
 HARD_NAMES = [
     *(b"caf\xe9.wav", b"two\nlines.wav", b"esc\x1b[2J.wav", b"l" * 250 + b".wav", b"sub\xff/z.wav"),
     *(b"a.wav", b"a.flac", b"a.flac.wav", b"b.wav", b"b.WAV", b"catalogue.wav", b"failed.wav"),
+    # folders that would be in the place of a result, a record or a list of failures
+    *(b"a.wav.json/c.wav", b"b.wav.wav/c.wav", b"failed.jsonl/c.wav", b"a.hjif/c.wav"),
 ]
 
 
@@ -196,6 +200,7 @@ def test_every_name_of_a_file_becomes_an_id_of_its_own(tmp_path, monkeypatch):
         "catalogue.wav",
         "failed.wav",
     } < found
+    assert not re.search(r"\.(wav|json|jsonl|hjif)/", " ".join(found))
     assert all(name.isprintable() and len(name.encode()) < 200 for name in found)
     lines = [{"audio": "a.wav"}, {"audio": "a.flac"}, {"audio": "b.wav", "id": "a"}]
     listed = manifest(tmp_path / "l.jsonl", *lines)
