@@ -6,13 +6,12 @@ import json
 
 from audioflinger_hook.cli.render import chosen_settings
 from audioflinger_hook.cli.terminal import level_text, progress_bar, warn
-from audioflinger_hook.exports.export import FORMATS, ExportOptions, ExportReport, export, format_of
+from audioflinger_hook.exports.export import ExportOptions, ExportReport, export, format_of
+from audioflinger_hook.exports.options import LONG
 from audioflinger_hook.offline.render import refuse_same_file
 from audioflinger_hook.sources import FileTap, TapClient
 from device.errors import UsageError
 from device.values import counted
-
-LONG_S = 600.0  # sounds that are longer get a warning for slow formats
 
 
 def run(options: argparse.Namespace) -> int:
@@ -25,9 +24,9 @@ def run(options: argparse.Namespace) -> int:
     refuse_same_file(options.input, options.output, None)
     settings = chosen_settings(options)
     tap = FileTap(options.input)
-    client, times = TapClient(tap), FORMATS[wanted.format].times_wav
-    if times > 1 and (client.frames_expected or 0) > LONG_S * client.samplerate:
-        warn(f"the format {wanted.format} takes about {times} times as long as wav or flac")
+    client, (long_s, note) = TapClient(tap), LONG.get(wanted.format, (0, ""))
+    if note and (client.frames_expected or 0) > long_s * client.samplerate:
+        warn(f"the format {wanted.format} {note}")
     with progress_bar(options.input.name) as progress:
         report = export(client, options.output, settings, wanted, progress, tap.warnings)
     for warning in report.warnings:

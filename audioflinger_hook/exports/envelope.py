@@ -1,5 +1,6 @@
 """Approximates curves with straight lines, and a vibration with an envelope and transients."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -14,7 +15,12 @@ TIED = 1e-3  # weight in `fitted` of the curve's value at a knot; a sample has w
 
 
 def simplify(
-    times: FloatArray, values: FloatArray, tolerance: FloatArray, spacing: int, longest: int
+    times: FloatArray,
+    values: FloatArray,
+    tolerance: FloatArray,
+    spacing: int,
+    longest: int,
+    sizes: Sequence[int] | None = None,
 ) -> NDArray[np.intp]:
     """Return ascending indices of the points to keep, including the first and the last point.
 
@@ -26,18 +32,23 @@ def simplify(
     tolerance: (n, k) largest allowed error at each point.
     spacing: smallest allowed difference of consecutive kept indices, except the last difference.
     longest: largest allowed difference of consecutive kept indices.
+    sizes: numbers of points of successive curves, each with its own first and last point; None: the
+        points are of one curve.
     """
-    last = len(values) - 1
-    if last < 1:
-        return np.arange(len(values))
-    edges = [*range(0, last, longest), last]
-    if len(edges) > 2 and edges[-1] - edges[-2] < spacing:
-        edges.pop(-2)
-        if last - edges[-2] > longest:  # two points may be at most `longest` apart
-            edges.insert(-1, last - spacing)
-    kept = np.zeros(last + 1, dtype=np.bool_)
-    kept[edges] = True
-    first, end = np.array(edges[:-1]), np.array(edges[1:])
+    begins = np.cumsum([0, *(sizes or [len(values)])])
+    curves = list(zip(values.T.copy(), tolerance.T.copy(), strict=True))
+    kept = np.zeros(len(values), dtype=np.bool_)
+    lines: list[tuple[int, int]] = []
+    for begin, end in pairwise(begins.tolist()):
+        last = end - 1
+        edges = [*range(begin, last, longest), last]
+        if len(edges) > 2 and edges[-1] - edges[-2] < spacing:
+            edges.pop(-2)
+            if last - edges[-2] > longest:  # two points may be at most `longest` apart
+                edges.insert(-1, last - spacing)
+        kept[edges] = True
+        lines += pairwise(edges)
+    first, end = np.array(lines, np.intp).reshape(-1, 2).T
     while True:
         wide = end - first >= 2 * spacing
         first, end = first[wide], end[wide]
@@ -46,16 +57,17 @@ def simplify(
         # The points where each line may be split, of all lines in a row.
         count = end - first - 2 * spacing + 1
         begin = np.cumsum(count) - count
-        line = np.repeat(np.arange(first.size), count)
-        place = np.arange(line.size) - (begin - first - spacing)[line]
-        slope = (values[end] - values[first]) / (times[end] - times[first])[:, None]
-        drawn = values[first][line] + slope[line] * (times[place] - times[first][line])[:, None]
-        error = (np.abs(values[place] - drawn) / tolerance[place]).max(axis=1)
+        place = np.arange(count.sum()) + np.repeat(first + spacing - begin, count)
+        since = times[place] - np.repeat(times[first], count)
+        error = np.zeros(place.size)
+        for value, allowed in curves:
+            slope = (value[end] - value[first]) / (times[end] - times[first])
+            drawn = np.repeat(value[first], count) + np.repeat(slope, count) * since
+            np.maximum(error, np.abs(value[place] - drawn) / allowed[place], out=error)
         largest = np.maximum.reduceat(error, begin)
-        worst = np.flatnonzero(error == largest[line])
-        chosen = worst[np.searchsorted(worst, begin)]
         split = largest > 1.0
-        middle = place[chosen[split]]
+        worst = np.flatnonzero(error == np.repeat(np.where(split, largest, np.nan), count))
+        middle = place[worst[np.searchsorted(worst, begin[split])]]
         kept[middle] = True
         first, end = np.append(first[split], middle), np.append(middle, end[split])
 

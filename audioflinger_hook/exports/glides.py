@@ -24,7 +24,8 @@ RISE_FROM = 0.4  # smallest rise of an onset, relative to the level after it
 AUDIBLE = 0.01  # smallest rise, relative to the largest level
 
 # Columns of recorded glides; see `GLIDE_COLUMNS`.
-FRAME, FRAMES, CHANNEL, SLOT, START_HZ, END_HZ, START_LEVEL, END_LEVEL, START_PHASE = range(9)
+COLUMNS = 9
+FRAME, FRAMES, CHANNEL, SLOT, START_HZ, END_HZ, START_LEVEL, END_LEVEL, START_PHASE = range(COLUMNS)
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,10 @@ def analytic(
     start = rows[:, START_LEVEL, None]
     angle = hz * turn + bend * glide + 2.0 * np.pi * rows[:, START_PHASE, None]
     level = start + (rows[:, END_LEVEL, None] - start) * shape
-    return level * np.exp(1j * angle), hz + bend * still
+    signal = np.empty(angle.shape, np.complex128)
+    np.multiply(level, np.cos(angle), out=signal.real)
+    np.multiply(level, np.sin(angle), out=signal.imag)
+    return signal, hz + bend * still
 
 
 def low_pass(

@@ -40,13 +40,14 @@ class HjifWriter(TrackWriter):
         self._effects: list[list[_Effect]] = [[] for _ in range(job.channels)]
         self._keyframes = 0
 
-    def take(self, channel: int, track: PartialTrack) -> None:
-        """Convert a partial track to effects, and store them in memory as JSON."""
-        for effect in effects_of(track):
-            last = effect["keyframes"][-1]["relative_position"]
-            at, phase = effect["position"], effect["phase"]
-            self._effects[channel].append((at, phase, at + last, json_bytes(effect)))
-            self._keyframes += len(effect["keyframes"])
+    def take(self, tracks: list[tuple[int, PartialTrack]]) -> None:
+        """Convert partial tracks to effects, and store them in memory as JSON."""
+        for channel, track in tracks:
+            for effect in effects_of(track):
+                last = effect["keyframes"][-1]["relative_position"]
+                at, phase = effect["position"], effect["phase"]
+                self._effects[channel].append((at, phase, at + last, json_bytes(effect)))
+                self._keyframes += len(effect["keyframes"])
 
     def write_rest(self, duration_s: float) -> dict[str, int]:
         """Write the file. UsageError: the format has too few bands for simultaneous partials."""

@@ -28,7 +28,6 @@ class Format:
     channels_max: largest number of channels of vibration.
     rate_max_hz: highest sample rate of a waveform.
     whole: whether the whole file is made in memory, so that the sound may last at most 1 hour.
-    times_wav: how many times as long as a WAV file it takes to make.
     """
 
     suffixes: tuple[str, ...]
@@ -37,7 +36,6 @@ class Format:
     channels_max: int = 1
     rate_max_hz: int = OUTPUT_RATE_MAX_HZ
     whole: bool = False
-    times_wav: int = 1
 
 
 FORMATS: dict[str, Format] = {
@@ -48,16 +46,21 @@ FORMATS: dict[str, Format] = {
         "the sound, with vibration as Android's haptic channels",
         channels_max=2,
         rate_max_hz=200_000,
-        times_wav=5,
     ),
     "ahap": Format((".ahap",), "curves and transients of Core Haptics", True, whole=True),
     "haptic": Format((".haptic",), "envelopes of Meta and Lofelt", True, whole=True),
     "vibration-xml": Format((".xml",), "vibration effect of Android 16", True, whole=True),
     "hjif": Format((".hjif",), "partials of ISO/IEC 23090-31", True, channels_max=64, whole=True),
-    "partials": Format(
-        (".jsonl",), "partial tracks, JSON lines", True, channels_max=64, times_wav=15
-    ),
+    "partials": Format((".jsonl",), "partial tracks, JSON lines", True, channels_max=64),
 }
+
+LONG = {
+    "ogg-haptic": (600, "takes about 4 times as long as wav or flac, because of its encoder"),
+    "vibration-xml": (200, "holds 200 s of changing vibration; more of it is refused at the end"),
+    "hjif": (600, "takes 4 to 30 times as long as wav or flac"),
+    "partials": (600, "takes about 2 to 4 times as long as wav or flac"),
+}
+"""What a command says at its start about sounds longer than some seconds, by format."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import soundfile
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports.export import ExportOptions, export
-from audioflinger_hook.exports.options import FORMATS
+from audioflinger_hook.exports.options import FORMATS, LONG
 from audioflinger_hook.sources import TapClient
 from device.errors import UsageError
 from tests.support.commands import RATE, call, document, listing, noise, refused, sound
@@ -156,17 +156,26 @@ def test_two_hours_are_refused_at_the_start(name: str, length_known: bool, folde
     assert tap.left == 7_200 if length_known else 3_500 < tap.left < 3_600
 
 
+@pytest.mark.parametrize("name", LONG)
+def test_a_long_sound_is_told_at_the_start(name: str, tmp_path: Path, folder: Path) -> None:
+    for more_s in (0, 1):
+        silence = np.zeros(1_000 * (LONG[name][0] + more_s))
+        done = call(
+            "export", sound(tmp_path / "in", silence, 1_000), folder / "o", "--format", name
+        )
+        assert (done.code, LONG[name][1] in done.stderr) == (0, more_s > 0)
+
+
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("name", [name for name, one in FORMATS.items() if not one.whole])
 def test_memory_does_not_grow_with_the_length(name: str, folder: Path) -> None:
     second, out = noise(8_000).astype(np.float32), folder / "out"
     options, peaks = ExportOptions(name, 1_000 if name in ("wav", "flac") else None), []
-    short = 1 if name == "partials" else 5  # partials of noise take long under tracemalloc
-    for seconds in (short, short, 10 * short):  # the first run loads what is loaded once
+    for seconds in (5, 5, 50):  # the first run loads what is loaded once
         tracemalloc.start()
         export(TapClient(LongTap(second, seconds)), out, Settings(), options)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    assert peaks[2] < peaks[1] + 250_000  # the sound alone takes 0.29 MB more, or 1.4
+    assert peaks[2] < peaks[1] + 250_000  # the sound alone takes 1.4 MB more
     if name != "partials":
         assert soundfile.info(out).duration == 50.0

@@ -163,9 +163,11 @@ def test_the_limiter_keeps_out_below_full_scale_and_is_counted(tmp_path, out):
 
 
 @pytest.mark.exhaustive
-def test_progress_is_drawn_on_a_terminal_and_json_stays_json(tmp_path, out):
+@pytest.mark.parametrize("name", ["", "ogg-haptic", "partials"])
+def test_progress_is_drawn_on_a_terminal_and_json_stays_json(name, tmp_path, out):
     source = sound(tmp_path / "[bold]in.wav", noise(50_000))
-    done, drawn = commands.on_a_terminal("render", source, out, "--json", streams=("stderr",))
+    command = ("export", "--format", name) if name else ("render",)
+    done, drawn = commands.on_a_terminal(*command, source, out, "--json", streams=("stderr",))
     assert json.loads(done.stdout)["frames"] == 50_000
     assert "100 %" in drawn
     assert "[bold]in.wav" in drawn  # a name is a name, not markup
