@@ -1,4 +1,4 @@
-"""`cushion doctor`: says what is wrong with this set-up and what to do; can repair some of it."""
+"""`cushion doctor`: shows the faults of this set-up, with advice; can repair some of them."""
 
 import argparse
 import getpass

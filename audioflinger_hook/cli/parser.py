@@ -214,7 +214,7 @@ def _test_tone(command: Parser) -> None:
     command.add_value("--seconds", float, "S", "duration", 2.0)
 
 
-@_command("find the delay between what is heard and what is felt")
+@_command("find the delay between sound and vibration")
 def _sync(command: Parser) -> None:
     person = "ask a simulated person with this delay; SCATTER_MS: of its answers, default 15"
     command.add_value("--simulate", str, "MS[:SCATTER_MS]", person)
@@ -274,7 +274,7 @@ def _install_service(command: Parser) -> None:
     command.add_switch("--udev", rule)
 
 
-@_command("find what is wrong with this set-up, and what to do", "--report report.txt")
+@_command("find the faults of this set-up, with advice", "--report report.txt")
 def _doctor(command: Parser) -> None:
     fixes = "repair what needs no root: a stale lock, the plugin's copy, a folder, a muted device"
     command.add_switch("--fix", fixes)

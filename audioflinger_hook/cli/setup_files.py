@@ -89,7 +89,7 @@ def text_of(path: Path) -> str | None:
 
 
 def undo() -> tuple[list[str], tuple[str, ...]]:
-    """Undo the last setup; return what was done, and commands that the user must run next.
+    """Undo the last setup; return its steps, and commands that the user must run next.
 
     UsageError: there is no setup to undo, or a file cannot be read or removed.
     """

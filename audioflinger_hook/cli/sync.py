@@ -1,4 +1,4 @@
-"""`cushion sync`: finds the delay between what is heard and what is felt, by a person's answers.
+"""`cushion sync`: finds the delay between sound and vibration, by a person's answers.
 
 This program plays clicks on the output that the daemon captures. The taps of vibration come from
 the daemon, which delays the vibration by the offset of each trial.

@@ -1,1 +1,1 @@
-"""`cushion doctor`: reads the facts of a set-up, and finds what is wrong with it."""
+"""`cushion doctor`: reads the facts of a set-up, and finds its faults."""

@@ -1,4 +1,4 @@
-"""Finds everything that is wrong with a set-up, from its facts. No I/O."""
+"""Finds the faults of a set-up, from its facts. No I/O."""
 
 import re
 import shlex
@@ -56,12 +56,12 @@ plugin-copy: The installed copy of the plugin is {installed}.
     Install it again.
     $ cushion plugin install
 no-alsa-plugin: The Python engine cannot play: {alsa_problem}.
-    Without it, nothing is felt on PulseAudio.
+    Without it, no vibration plays on PulseAudio.
 wrong-default-sink: The default output {felt.name!r} is the output of the vibration, so all \
 programs play their sound on the actuators.
     Make your speakers the default output.
     $ pactl set-default-sink {speakers}
-no-default-sink: The sound server has no default output, so there is no sound to capture.
+no-default-sink: The sound server has no default output, so no sound can be captured.
     Connect your speakers, or choose the default output.
     $ pactl set-default-sink {speakers}
 no-tap: The tap {live.tap[0]!r} cannot be captured: {tap_error}.
@@ -79,7 +79,7 @@ device-muted: The output of the vibration {felt.name!r} is muted, at volume {fel
 device-low: The output of the vibration {felt.name!r} is at volume {felt.volume_percent} %.
     Turn the amplifier down, then set the volume to 100 %.
     $ pactl set-sink-volume {felt_word} 100%
-sound-muted: The output of the sound {heard.name!r} is muted or at 0 %, so nothing is felt.
+sound-muted: The output of the sound {heard.name!r} is muted or at 0 %, so no vibration plays.
     Unmute the output, and set a low volume instead.
     $ pactl set-sink-mute {heard_word} 0
 rate-clash forced: The output {sink.name!r} runs at {sink.samplerate} Hz, but PipeWire's graph is \

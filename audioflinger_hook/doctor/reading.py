@@ -215,7 +215,7 @@ def _graph() -> Graph | None:
 
 
 def _players(server: ServerSnapshot, connected: set[int]) -> tuple[str, ...]:
-    """Return what plays vibration on this server: daemons, and the plugin in a filter-chain.
+    """Return the programs that play vibration here: daemons, and the plugin in a filter-chain.
 
     An idle daemon may have no stream, so the connected processes of `cushion run` count, too.
     """

@@ -1,4 +1,4 @@
-"""Repairs that need no root. Each says what it did, or why it did nothing."""
+"""Repairs that need no root. Each returns a sentence about its result."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -19,7 +19,7 @@ ROUNDING_DB = 0.01  # volumes of a server that differ by less are the same
 
 
 def repair(name: str, facts: Facts, environ: Mapping[str, str]) -> str:
-    """Repair the finding `name`; return what was done. Only the main thread may call it."""
+    """Repair the finding `name`; return the result in words. Only the main thread may call it."""
     try:
         return REPAIRS[name](facts, environ)
     except (CushionError, OSError) as error:

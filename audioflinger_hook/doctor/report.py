@@ -24,7 +24,7 @@ HIDDEN = "(hidden)"
 
 
 def findings_text(findings: Sequence[Finding], repairs: Sequence[str]) -> str:
-    """Return all findings, numbered, each with what to do, and what was repaired."""
+    """Return all findings, numbered, each with its advice, and the repairs."""
     lines = [] if findings else ["Nothing is wrong."]
     for number, finding in enumerate(findings, 1):
         lines += [f"{number}. {finding.wrong}", f"   {finding.advice}"]
@@ -53,7 +53,7 @@ def full_report(
 
 
 def _private_words(facts: Facts) -> Iterator[str]:
-    """Return the user's own words: values in the config file, and names of what plays."""
+    """Return the user's own words: values in the config file, and names of streams."""
     for mistake in facts.mistakes:
         value = mistake.value.strip('"')
         if not _PLAIN.fullmatch(value):

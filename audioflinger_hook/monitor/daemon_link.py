@@ -22,8 +22,8 @@ LINE_SHARE = 0.2  # pause after each line as a share of 1 / rate_hz, to limit th
 class DaemonLink:
     """Receives the daemon's messages and forwards requests, on the event loop's thread.
 
-    tell: called with (kind, content) of each message. The daemon sends "frame", "status" and
-    "settings". Kind "link" reports a change of the connection: {"connected": ..., "text": ...}.
+    tell: gets (kind, content) of each message. The daemon sends "frame", "status" and "settings".
+    Kind "link" reports a change of the connection: {"connected": ..., "text": ...}.
     rate_hz: number of frames per second. page: the page's address, which the daemon prints.
     """
 

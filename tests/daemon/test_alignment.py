@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.daemon.alignment import Alignment
-from audioflinger_hook.daemon.declared import LOOK_S, ORDINARY_S, DeclaredDelays
+from audioflinger_hook.daemon.declared import ORDINARY_S, DeclaredDelays
 from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.offset import DECLARED, FOLLOWED_S, UNKNOWN
 from audioflinger_hook.daemon.offset_store import OffsetStore, SinkPair
@@ -69,13 +69,13 @@ def test_a_usual_buffer_is_no_declared_delay(beyond_s, reason):
     assert case.pass_s(1.0) == (0.0, reason)
 
 
-def test_another_latency_is_followed_within_3_s_and_rarely_asked_for():
+def test_another_latency_is_followed_within_3_s_and_asked_for_once_a_tick():
     case = Case()
     case.pass_s(10.0)
     case.latencies_s["bt"] = 0.09
     offset_s, _ = case.pass_s(3.0)
     assert offset_s == pytest.approx(0.09 - OWN_S)
-    assert case.queries <= 13.0 / LOOK_S + 1
+    assert case.queries <= 13.0 / case.tick_s + 2
 
 
 @pytest.mark.parametrize("block_ms", [25.0, 37.9, 46.5, 93.0])

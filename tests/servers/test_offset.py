@@ -10,7 +10,7 @@ from audioflinger_hook.service.runtime_folder import FOLDER_NAME
 from device.units import Float32Array, FloatArray
 from tests.servers.conftest import QUANTUM
 from tests.servers.daemons import cushion, running, tone
-from tests.servers.listening import RATE_HZ, Arrivals, arriving, more, playing, recording, wait_for
+from tests.servers.listening import RATE_HZ, arriving, more, playing, recording, wait_for
 from tests.servers.slow_sinks import BEHIND, SLOW, DeclaringSink, add_tunnel, delaying_sink, lags_ms
 from tests.servers.witness import CLICK_DB, above_250_hz
 from tests.service.test_watch import Client
@@ -75,7 +75,6 @@ def test_the_vibration_is_as_late_as_the_sink_declares(timed_pipewire, slow, tmp
 def test_the_vibration_is_felt_with_the_sound_behind_a_delay_of_200_ms(pipewire):
     if version_of(pipewire) < (1, 6):
         pytest.skip("filters before PipeWire 1.6 do not declare their delay")
-    count = 14
     with (
         delaying_sink(pipewire, 0.2),
         playing(pipewire, SLOW, tone(60.0, 90.0, level=0.0)),
@@ -83,12 +82,7 @@ def test_the_vibration_is_felt_with_the_sound_behind_a_delay_of_200_ms(pipewire)
     ):
         pipewire.choose_default(SLOW)
         daemon.wait(lambda one: one.offset_reason == DECLARED, "the declared delay")
-        with (
-            arriving(pipewire, f"{BEHIND}.monitor") as heard,
-            arriving(pipewire, "haptic.monitor") as felt,
-            playing(pipewire, SLOW, bursts(count)),
-        ):
-            found = both_felt(heard, felt, count, after_s=2.0)
+        found = both_felt(pipewire, SLOW, 14, after_s=2.0)
     within(found, 0.0)
 
 
@@ -170,30 +164,30 @@ def test_a_stored_delay_is_used_at_the_next_start_for_its_two_sinks_only(pipewir
     assert (status.offset_ms, status.offset_reason) == (30.0, SET)
 
 
-def both_felt(heard: Arrivals, felt: Arrivals, count: int, after_s: float) -> list[float]:
-    """The lags of bursts once `count` of them have been played."""
-    end = (LEAD_S + count * (APART_S + 0.05)) * RATE_HZ
-    wait_for(lambda: len(felt.frames()) > end, "all bursts", 60.0)
-    return lags_ms(heard, felt, after_s)
+def both_felt(
+    server: SoundServer, into: str, count: int, after_s: float, behind: str = BEHIND
+) -> list[float]:
+    """The lags of `count` bursts that are played into a sink and heard behind another one."""
+    with (
+        arriving(server, f"{behind}.monitor") as heard,
+        arriving(server, "haptic.monitor") as felt,
+        playing(server, into, bursts(count)),
+    ):
+        end = (LEAD_S + count * (APART_S + 0.05)) * RATE_HZ
+        wait_for(lambda: len(felt.frames()) > end, "all bursts", 60.0)
+        return lags_ms(heard, felt, after_s)
 
 
 def test_pulseaudios_latency_of_a_tunnel_is_in_the_offset(pulse):
-    count = 18
     add_tunnel(pulse, 0.15)
     pulse.choose_default(SLOW)
     with playing(pulse, SLOW, tone(60.0, 60.0, level=0.0)), running(pulse) as daemon:
         daemon.wait(lambda one: one.offset_reason == DECLARED, "the declared delay")
-        with (
-            arriving(pulse, f"{BEHIND}.monitor") as heard,
-            arriving(pulse, "haptic.monitor") as felt,
-            playing(pulse, SLOW, bursts(count)),
-        ):
-            found = both_felt(heard, felt, count, after_s=6.0)
+        found = both_felt(pulse, SLOW, 18, after_s=6.0)
     within(found, 0.0, python=True)
 
 
 def test_in_drop_in_mode_the_sound_waits_for_the_vibration_by_itself(server):
-    count = 18
     with (
         playing(server, "desktop", tone(60.0, 60.0, level=0.0)),
         running(server, "--drop-in") as daemon,
@@ -203,10 +197,5 @@ def test_in_drop_in_mode_the_sound_waits_for_the_vibration_by_itself(server):
             "a delay of the sound",
             30.0,
         )
-        with (
-            arriving(server, "desktop.monitor") as heard,
-            arriving(server, "haptic.monitor") as felt,
-            playing(server, "cushion", bursts(count)),
-        ):
-            found = both_felt(heard, felt, count, after_s=6.0)
+        found = both_felt(server, "cushion", 18, after_s=6.0, behind="desktop")
     within(found, 0.0, python=True)
