@@ -1,15 +1,19 @@
 """Waveform files written by libsndfile, rate conversion, measurement of energy above 250 Hz."""
 
 import os
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 import soundfile
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from audioflinger_hook.mixer.resampler import Resampler, frames_out
 from device.atomic_file import AtomicFile
+from device.blocks import peak
 from device.drive.outputs import WrappedOutput
 from device.errors import InternalError, UsageError, WriteError
 from device.output import VibrationOutput
@@ -115,7 +119,11 @@ class SoundFileOutput:
         if self._file is None:
             raise InternalError("the sound file is closed: nothing can be written to it")
         check_channels(vibration, self.channels)
-        self._held = np.concatenate((self._held, vibration.astype(np.float32)))
+        samples = vibration.astype(np.float32, order="C")
+        if not peak(samples) <= 1.0:
+            self.limited_samples += int(np.count_nonzero(np.abs(samples) > 1.0))
+            np.clip(samples, -1.0, 1.0, out=samples)
+        self._held = np.concatenate((self._held, samples)) if len(self._held) else samples
         whole = len(self._held) - len(self._held) % BLOCK_FRAMES
         self._encode(whole)
 
@@ -140,9 +148,6 @@ class SoundFileOutput:
     def _encode(self, frames: int) -> None:
         assert self._file is not None
         held = self._held[:frames]
-        if beyond := int(np.count_nonzero(np.abs(held) > 1.0)):
-            self.limited_samples += beyond
-            np.clip(held, -1.0, 1.0, out=held)
         for first in range(0, frames, self._step):
             try:
                 self._file.write(held[first : first + self._step])
@@ -157,7 +162,11 @@ class SoundFileOutput:
             raise self._target.failure
 
 
+_Transform = Callable[[FloatArray], NDArray[np.complex128]]
+
 AUDIBLE_FROM_HZ = 250.0
+BATCH_WINDOWS = 4
+LONG_BATCHES = 125  # 2 to 4 minutes; from then on, SciPy's faster transform is worth its import
 PIECE_FRAMES = 8_192  # frames for each call of the resampler, to limit its memory
 
 
@@ -236,11 +245,11 @@ class LeakMeter(WrappedOutput):
         super().__init__(output)
         self._watch = watch
         self._hop = 1 << (self.samplerate // 4).bit_length()
-        self._held = np.zeros((self.channels, 2 * self._hop))
-        self._windowed = np.empty_like(self._held)
-        self._spectrum = np.empty((self.channels, self._hop + 1), np.complex128)
+        self._held = np.zeros((self.channels, (BATCH_WINDOWS + 1) * self._hop))
         self._filled = self._hop  # as after silence
         self._power = np.zeros((self.channels, self._hop + 1))
+        self._batches = 0
+        self._transform: _Transform = np.fft.rfft
 
     @property
     def leak_db(self) -> float | None:
@@ -259,25 +268,47 @@ class LeakMeter(WrappedOutput):
 
     def close(self) -> None:
         """Measure the last windows, and close the output."""
-        self._measure(np.zeros_like(self._held).T)
+        self._held[:, self._filled :] = 0.0
+        if self._filled > BATCH_WINDOWS * self._hop:
+            self._add_windows(BATCH_WINDOWS)
+            self._held[:, self._hop :] = 0.0
+        self._add_windows(-(-self._filled // self._hop))
         if self._watch:
             self._watch.finish(self._power.T, self.samplerate)
         super().close()
 
     def _measure(self, vibration: FloatArray | Float32Array) -> None:
         while len(vibration):
-            taken = vibration[: 2 * self._hop - self._filled]
+            taken = vibration[: self._held.shape[1] - self._filled]
             self._held[:, self._filled : self._filled + len(taken)] = taken.T
             self._filled += len(taken)
             vibration = vibration[len(taken) :]
-            if self._filled == 2 * self._hop:
-                np.multiply(_window(self._hop), self._held, out=self._windowed)
-                parts = np.fft.rfft(self._windowed, out=self._spectrum).view(np.float64)
-                np.square(parts, out=parts)
-                self._power += parts[:, ::2]
-                self._power += parts[:, 1::2]
-                self._held[:, : self._hop] = self._held[:, self._hop :]
-                self._filled = self._hop
+            if self._filled == self._held.shape[1]:
+                self._add_windows(BATCH_WINDOWS)
+
+    def _add_windows(self, count: int) -> None:
+        windows = sliding_window_view(self._held, 2 * self._hop, axis=1)[:, :: self._hop][:, :count]
+        kind = np.float64 if self._transform is np.fft.rfft else np.float32
+        spectra = self._transform(np.multiply(windows, _window(self._hop), dtype=kind))
+        parts = spectra.view(kind)
+        power = np.square(parts, out=parts).sum(axis=1)
+        self._power += power[:, ::2]
+        self._power += power[:, 1::2]
+        self._held[:, : self._hop] = self._held[:, -self._hop :]
+        self._filled = self._hop
+        self._batches += 1
+        if self._batches == LONG_BATCHES:
+            self._transform = _scipy_rfft() or self._transform
+
+
+def _scipy_rfft() -> _Transform | None:
+    """Return SciPy's transform; None if the limit of memory is too small for it."""
+    try:
+        from scipy.fft import rfft
+    except (UsageError, MemoryError, ImportError):
+        return None
+    found: _Transform = rfft
+    return found
 
 
 @lru_cache(maxsize=4)
