@@ -11,6 +11,7 @@ import tempfile
 import time
 from concurrent.futures import BrokenExecutor
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -160,7 +161,7 @@ def kill_server():
     time.sleep(60.0)
 
 
-DEATHS = {
+DEATHS: dict[str, tuple[Any, ...]] = {
     batch.DIED: (os._exit, 9),
     batch.ENDED: (os._exit, 1),
     "by SIGKILL, from outside": (signal.raise_signal, signal.SIGKILL),
