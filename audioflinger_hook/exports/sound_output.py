@@ -1,10 +1,12 @@
 """Waveform files written by libsndfile, rate conversion, measurement of energy above 250 Hz."""
 
 import os
+from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import soundfile
@@ -23,6 +25,7 @@ BLOCK_FRAMES = 4_096
 """Frames for each call of the encoder. The constant size makes a file's bytes independent of the
 caller's blocks, and limits the stack of the Vorbis encoder.
 """
+BLOCKS_AHEAD = 2  # blocks that may wait for a `BackgroundOutput`
 LARGE_FRAMES = 65_536  # FLAC's bytes do not depend on the size, and large blocks cost less
 
 
@@ -160,6 +163,42 @@ class SoundFileOutput:
         if self._target.failure is not None:
             self.abort()
             raise self._target.failure
+
+
+class BackgroundOutput(WrappedOutput):
+    """Passes blocks to an output on a second thread, so that an encoder uses another core.
+
+    An error of the output is raised by a later call. Only one thread may use this class.
+    """
+
+    def __init__(self, output: VibrationOutput) -> None:
+        super().__init__(output)
+        self._thread = ThreadPoolExecutor(1)
+        self._waiting: deque[Future[None]] = deque()
+
+    def write(self, vibration: FloatArray | Float32Array) -> None:
+        """Pass a copy of a block on."""
+        self.run(self._output.write, vibration.copy())
+
+    def run(self, work: Callable[..., None], *arguments: Any) -> None:
+        """Call a function on the second thread, after all earlier calls."""
+        self._wait(BLOCKS_AHEAD)
+        self._waiting.append(self._thread.submit(work, *arguments))
+
+    def close(self) -> None:
+        """Wait for all calls, and finish the output. May be repeated."""
+        self._wait(0)
+        self._thread.shutdown()
+        super().close()
+
+    def abort(self) -> None:
+        """Discard the output. The call that runs is finished first."""
+        self._thread.shutdown(cancel_futures=True)
+        super().abort()
+
+    def _wait(self, most: int) -> None:
+        while len(self._waiting) > most:
+            self._waiting.popleft().result()
 
 
 AUDIBLE_FROM_HZ = 250.0

@@ -1,5 +1,6 @@
 """WAV and FLAC at any rate hold the same vibration, in a fraction of the bytes."""
 
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,9 @@ from scipy.signal import czt
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports.export import ExportOptions, export
-from audioflinger_hook.exports.sound_output import LeakMeter, ResampledOutput
+from audioflinger_hook.exports.sound_output import BackgroundOutput, LeakMeter, ResampledOutput
 from audioflinger_hook.offline.render import render
+from device.errors import WriteError
 from device.wav_output import WavOutput
 from tests.support.exports import RATE_HZ, client_of, exported, read_wave, scene
 from tests.support.outputs import KeptOutput
@@ -117,6 +119,30 @@ def test_a_leak_counts_alike_at_the_start_and_at_the_end(frames: int) -> None:
         meter.close()
         leaks.append(meter.leak_db)
     assert leaks[0] == pytest.approx(leaks[1], abs=0.05)
+
+
+def test_blocks_are_encoded_in_order_on_one_other_thread_which_reports_errors() -> None:
+    numbers, threads = list[float](), set[int]()
+
+    class Encoder(KeptOutput):
+        def write(self, vibration: Any) -> None:
+            threads.add(threading.get_ident())
+            if len(numbers) == 3:
+                raise WriteError("full")
+            numbers.append(float(vibration[0, 0]))
+
+    output, block = BackgroundOutput(Encoder(RATE_HZ, 1)), np.zeros((9, 1))
+
+    def play() -> None:
+        for number in range(99):
+            block[:] = number
+            output.write(block)
+
+    with pytest.raises(WriteError, match="full"):
+        play()
+    output.abort()
+    assert numbers == [0.0, 1.0, 2.0]
+    assert len(threads - {threading.get_ident()}) == len(threads) == 1
 
 
 def test_silence_has_no_leak(tmp_path: Path) -> None:
