@@ -68,7 +68,10 @@ class Recipe:
         known, chosen = self._digests, (item.profile, item.channels)
         if chosen not in known:
             settings = self.settings_of(item)
-            files = [sha256_of(Path(path)) for path in _files_of(settings)]
+            named = [settings.rig, *(actuator.rig for actuator in settings.actuators)]
+            paths = [name for name in named if name is not None and name not in SHIPPED]
+            paths += [str(settings.effects_file)] if settings.effects_file else []
+            files = [sha256_of(Path(path)) for path in paths]
             document = [self.version, asdict(self.options), asdict(settings), files]
             text = json.dumps(document, sort_keys=True, default=str)
             known[chosen] = hashlib.sha256(text.encode()).hexdigest()
@@ -76,9 +79,3 @@ class Recipe:
 
 
 _to_json = json.JSONEncoder(sort_keys=True).encode  # `json.dumps` would make an encoder each time
-
-
-def _files_of(settings: Settings) -> list[str]:
-    named = [settings.rig, *(actuator.rig for actuator in settings.actuators)]
-    files = [name for name in named if name is not None and name not in SHIPPED]
-    return [*files, *([str(settings.effects_file)] if settings.effects_file else [])]

@@ -106,5 +106,4 @@ class Run:
             return []
         death = self._place.death()
         error = f"{item.audio}: its worker died {DEATHS_MAX} times, {death}"
-        is_tried_again = death in (NO_SERVER, ENDED)
-        return [failed_by_death(self._plain_recipe, item, error, is_tried_again)]
+        return [failed_by_death(self._plain_recipe, item, error, death in (NO_SERVER, ENDED))]

@@ -70,8 +70,7 @@ def run(options: argparse.Namespace) -> int:
     _make_folder(out)
     scene = demo_scene()
     framework = Framework(scene.samplerate, scene.channels, settings)
-    for warning in framework.warnings:
-        warn(warning)
+    warn(*framework.warnings)
     rate, channels = framework.samplerate, framework.haptic_channels
     picture = out / "report.png"
     if picture.is_dir():

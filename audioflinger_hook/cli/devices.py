@@ -130,7 +130,9 @@ def _show(document: dict[str, Any]) -> None:
     if document["server"]:
         _section(document["server"], map(_sink_lines, document["sinks"]))
     _section("USB", map(_usb_lines, document["usb"]))
-    _section("sound cards", map(_card_lines, document["cards"]))
+    cards = document["cards"]
+    named = ([one["device"], one["name"] + ", in use" * bool(one["in_use"])] for one in cards)
+    _section("sound cards", named)
     _section("playing", map(_application_lines, document["applications"]))
 
 
@@ -161,10 +163,6 @@ def _usb_lines(device: dict[str, Any]) -> list[str]:
         lines.append(f"volume {volume}")
     others = [*(f"sink:{name}" for name in device["sinks"]), *device["hw"]]
     return lines + [f"is also {other}" for other in others]
-
-
-def _card_lines(card: dict[str, Any]) -> list[str]:
-    return [card["device"], card["name"] + (", in use" if card["in_use"] else "")]
 
 
 def _application_lines(application: dict[str, Any]) -> list[str]:

@@ -29,8 +29,7 @@ def run(options: argparse.Namespace) -> int:
         warn(f"the format {wanted.format} {note}")
     with progress_bar(options.input.name) as progress:
         report = export(client, options.output, settings, wanted, progress, tap.warnings)
-    for warning in report.warnings:
-        warn(warning)
+    warn(*report.warnings)
     if options.json:
         print(json.dumps(dataclasses.asdict(report), indent=2))
     else:

@@ -113,8 +113,7 @@ def show_report(
 ) -> None:
     """Print a summary, and warnings on stderr. more: further counts to print, keyed by name."""
     more = more or {}
-    for warning in report.warnings:
-        warn(warning)
+    warn(*report.warnings)
     if options.json:
         print(json.dumps({**dataclasses.asdict(report), **more}, indent=2))
     else:

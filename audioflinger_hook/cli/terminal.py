@@ -21,9 +21,10 @@ from device.units import amplitude_to_db
 CHECK_S = 0.1  # time between two calls of `meanwhile`
 
 
-def warn(message: str) -> None:
-    """Print a one-line warning on stderr."""
-    print(f"cushion: warning: {message}", file=sys.stderr)
+def warn(*messages: str) -> None:
+    """Print one-line warnings on stderr."""
+    for message in messages:
+        print(f"cushion: warning: {message}", file=sys.stderr)
 
 
 def complain(message: str) -> None:
