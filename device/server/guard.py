@@ -200,8 +200,8 @@ class FallbackSink:
         try:
             if "module-intended-roles" not in connection.modules().values():
                 self._modules.append(connection.load_module("module-intended-roles"))
-            modules = {sink.name: sink.module for sink in snapshot.sinks}
-            left = modules.get(FALLBACK_SINK)
+            sink = snapshot.sink(FALLBACK_SINK)
+            left = sink.module if sink else None
             if left is None:
                 known = f"device.description=Haptic-Cushion-(silent) device.intended_roles={ROLE}"
                 arguments = (f"sink_name={FALLBACK_SINK}", f'sink_properties="{known}"')

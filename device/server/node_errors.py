@@ -37,8 +37,7 @@ class NodeErrors:
         elif (code := self.process.poll()) is not None:
             self._may_ask = code == 0
             self._printed.seek(0)
-            listing = self._printed.read().decode(errors="replace")
-            self._counts.update(errors_in(listing, names))
+            self._counts.update(errors_in(self._printed.read().decode(errors="replace"), names))
             self.close()
 
     def count(self, suffix: str) -> int | None:

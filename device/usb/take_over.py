@@ -53,7 +53,14 @@ def take_over(device: UsbAudioDevice, *, root: Path = ROOT) -> Iterator[UsbContr
     if trouble:
         raise UsbAccessError(trouble)
     if numbers and device.cards:
-        _await_card(device, root)
+        nap = threading.Event()
+        for _ in range(round(_RETURNS_S / _POLL_S)):  # the card's number may differ then
+            if any(each.port == device.port and each.cards for each in find_devices(root).devices):
+                return
+            nap.wait(_POLL_S)
+        raise UsbAccessError(
+            f"the sound card of {device.label!r} did not come back; plug it in again"
+        )
 
 
 class _Guardian:
@@ -111,13 +118,3 @@ def _detach(device: UsbAudioDevice, handle: Any, number: int) -> None:
             f"{device.label!r} at {device.node} cannot be opened, or taken from its driver "
             f"({error}); `cushion install-service --udev` prints a rule that gives the permission"
         ) from None
-
-
-def _await_card(device: UsbAudioDevice, root: Path) -> None:
-    """Wait until the device has a sound card again; the card's number may differ."""
-    nap = threading.Event()
-    for _ in range(round(_RETURNS_S / _POLL_S)):
-        if any(each.port == device.port and each.cards for each in find_devices(root).devices):
-            return
-        nap.wait(_POLL_S)
-    raise UsbAccessError(f"the sound card of {device.label!r} did not come back; plug it in again")

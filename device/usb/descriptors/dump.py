@@ -64,8 +64,7 @@ def parse_dump(content: bytes) -> tuple[bytes, ...]:
     text = text.replace("\r\n", "\n")
     if _OF_LSUSB.search(text):
         return _devices_of_lsusb(text)
-    ours = _OUR_BYTES.findall(text)
-    return tuple(parse_hex(part) for part in ours or [text])
+    return tuple(parse_hex(part) for part in _OUR_BYTES.findall(text) or [text])
 
 
 def _devices_of_lsusb(text: str) -> tuple[bytes, ...]:
