@@ -121,8 +121,7 @@ class SegmentReader(_Descriptor):
             return None
         samples = np.empty((frames, channels), _SAMPLE)
         content = samples.reshape(-1).view(np.uint8).data
-        whole = _read_at(self._fd, content, start)
-        if not whole or (crc and f"{zlib.crc32(content):08x}" != crc):
+        if not _read_at(self._fd, content, start) or (crc and f"{zlib.crc32(content):08x}" != crc):
             return None
         return samples.astype(np.float32, copy=False)
 

@@ -17,9 +17,7 @@ from device.errors import UsageError
 from device.layouts import CHANNELS_MAX
 from device.units import Float32Array
 
-STANDBY_DELAY_S = 3.0  # time without an active track until standby
 TAIL_S = 1.0  # a player's effects process silence for this time after its last track
-HAL_FRAMES_MAX = 1 << 16
 
 
 class MixerState(Enum):
@@ -70,10 +68,10 @@ class Mixer:
         haptic_channels: int = 0,
         sinks: Sequence[mix_buffer.Sink] = (),
         effects: mix_buffer.EffectsPort | None = None,
-        standby_delay_s: float = STANDBY_DELAY_S,
+        standby_delay_s: float = 3.0,
     ) -> None:
         wrong = [
-            *out_of_range("hal_frames", hal_frames, 1, HAL_FRAMES_MAX, ""),
+            *out_of_range("hal_frames", hal_frames, 1, 1 << 16, ""),
             *out_of_range("samplerate", samplerate, *SAMPLERATES, " Hz"),
             *out_of_range("channels", channels, 1, CHANNELS_MAX, ""),
             *out_of_range("haptic_channels", haptic_channels, 0, CHANNELS_MAX, ""),
@@ -154,7 +152,14 @@ class Mixer:
         default). With cycles as long as the buffers of the source, mixing adds no delay.
         """
         self.cycles += 1
-        self._take_events()
+        # An event can post another event, which then waits for the next cycle.
+        for _ in range(len(self._events)):
+            event = self._events.popleft()
+            try:
+                event()
+            except Exception as failure:  # a failing event must not interrupt the sound
+                self.failed_events += 1
+                self.last_failure = f"{type(failure).__name__}: {failure}"
         active = self._active_lanes()
         if self._stands_by(bool(active), now_s):
             return CycleReport(MixerState.STANDBY, 0, 0, 0, self.buffer)
@@ -171,16 +176,6 @@ class Mixer:
         self.cycles_written += 1
         self.frames_written += frames
         return CycleReport(self.state, frames, mixed, underruns, self.buffer)
-
-    def _take_events(self) -> None:
-        # An event can post another event, which then waits for the next cycle.
-        for _ in range(len(self._events)):
-            event = self._events.popleft()
-            try:
-                event()
-            except Exception as failure:  # a failing event must not interrupt the sound
-                self.failed_events += 1
-                self.last_failure = f"{type(failure).__name__}: {failure}"
 
     def _active_lanes(self) -> list[Lane]:
         """Execute the clients' requests, and return the `Lane` of each active track."""
