@@ -23,7 +23,6 @@ READ_BLOCKS = 4  # largest number of blocks that one call reads from the delay l
 FADED = 1e-6  # vibration with a smaller peak counts as silent; full scale is 1
 
 FADE_S = 0.04  # duration of a fade, as in the plugin
-CAPACITY_S = 3.0  # length of the delay line, which suffices for an offset of 2 s
 
 
 @dataclass(frozen=True)
@@ -108,7 +107,7 @@ class Engine:
             self.drive.outputs,
             self.samplerate,
             samplerate,
-            capacity_s=CAPACITY_S,
+            capacity_s=3.0,  # suffices for an offset of 2 s
             capture_block=self.block_frames,
             output_block=self.block_frames,
             offset_s=offset_s,

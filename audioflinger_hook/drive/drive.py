@@ -238,8 +238,7 @@ class Drive:
 
         InternalError: the number of actuators differs, or a source is not in `sources`.
         """
-        named = len(self._settings)
-        if len(settings) != named or not {*sources_of(settings)} <= {*self.sources}:
+        if len(settings) != len(self._settings) or not {*sources_of(settings)} <= {*self.sources}:
             raise InternalError("the number of actuators, or their sources, cannot change")
         self._settings = tuple(settings)
 

@@ -59,8 +59,7 @@ class _Compared:
         found, expected = (
             np.array([one.acceleration_m_s2, one.displacement_m]) for one in (motion, true)
         )
-        wrong = np.abs(found - expected).max(axis=1, initial=0.0)
-        self._wrong = np.maximum(self._wrong, wrong)
+        self._wrong = np.maximum(self._wrong, np.abs(found - expected).max(axis=1, initial=0.0))
         self._peaks = np.maximum(self._peaks, np.abs(expected).max(axis=1, initial=0.0))
 
     def end(self) -> tuple[float, int]:

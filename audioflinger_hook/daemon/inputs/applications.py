@@ -25,7 +25,6 @@ from device.units import Float32Array
 
 CAPTURES_MAX = 32  # largest number of captured streams, which limits the CPU load
 
-NO_APPLICATION = "no application plays"
 NONE_SUCH = "no application that the tap names plays; `cushion devices` lists those that do"
 
 
@@ -48,7 +47,7 @@ class Applications:
     def name(self) -> str:
         """Names of the applications, separated by commas."""
         names = dict.fromkeys(app_name(stream) for stream in self.streams)
-        return ", ".join(names) or NO_APPLICATION
+        return ", ".join(names) or "no application plays"
 
     @property
     def why_silent(self) -> str:

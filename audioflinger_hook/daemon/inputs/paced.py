@@ -109,7 +109,12 @@ class _Player:
         elif self._next is not None:
             self._deliver(self._next, now_s)
         elif self._tail is None or len(self._tail):
-            self._send_tail(now_s)
+            tail = self._feed.finish(now_s) if self._tail is None else self._tail
+            part, self._tail = tail[:BLOCK_FRAMES], tail[BLOCK_FRAMES:]
+            block = self._silence.copy()
+            block[: len(part)] = part
+            self._run_out_s = self._engine.delay_line.status.delay_s + RUN_OUT_S
+            self._send(block, now_s)
         else:
             self._send(self._silence, now_s)
             self._run_out_s -= BLOCK_FRAMES / self._engine.samplerate
@@ -122,14 +127,6 @@ class _Player:
         self._feed.push(frames, now_s)
         self._played.add(len(frames), tap.samplerate)
         self._next = tap.read()
-
-    def _send_tail(self, now_s: float) -> None:
-        tail = self._feed.finish(now_s) if self._tail is None else self._tail
-        part, self._tail = tail[:BLOCK_FRAMES], tail[BLOCK_FRAMES:]
-        block = self._silence.copy()
-        block[: len(part)] = part
-        self._run_out_s = self._engine.delay_line.status.delay_s + RUN_OUT_S
-        self._send(block, now_s)
 
     def _send(self, block: Float32Array, now_s: float) -> None:
         self._engine.delay_line.write(block, now_s)

@@ -110,8 +110,7 @@ class NativeEngine:
             except LostError:
                 self.audible = self.audible and chains.current is not None
                 raise
-            plan = ChainPlan.of(self._config.settings, tap, chains.samplerate(graph))
-            chains.make(plan, now_s)
+            chains.make(ChainPlan.of(self._config.settings, tap, chains.samplerate(graph)), now_s)
             self._wire(tap, device, now_s)
             self._note_links(now_s)
             self._choose_way(now_s)

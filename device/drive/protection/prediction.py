@@ -38,8 +38,7 @@ def amplifier_sections(
     """Return the amplifier's filters, except a low-pass far above all resonances, (n, 6)."""
     highest_hz = max(model.resonance_hz for model in models)
     far = amplifier.high_cut_hz > _FAR_ABOVE * highest_hz
-    high_cut_hz = np.inf if far else amplifier.high_cut_hz
-    return Band(amplifier.low_cut_hz, high_cut_hz, samplerate).sections
+    return Band(amplifier.low_cut_hz, np.inf if far else amplifier.high_cut_hz, samplerate).sections
 
 
 class DriveModel:
