@@ -32,7 +32,6 @@ from device.units import FloatArray
 
 # Largest accepted half-width of a 95 % interval, relative to the value.
 WIDEST = {"resistance_ohm": 0.05, "f0_hz": 0.03, "q_mechanical": 0.3, "q_electrical": 0.3}
-WIDEST_VOLTS = 0.05
 COIL_OHM = 0.3, 150.0  # range of plausible coil resistances
 _ADVICE = (
     "its rise at the resonance is small against the noise: raise the level a little, make the "
@@ -237,6 +236,6 @@ def identify_drive(recording: Recording, rig: Rig, impedance: Impedance | None) 
             source = None
     if source is None:
         volts = volts.scaled(1.0 + rig.amplifier.source_impedance_ohm / rig.actuator.resistance_ohm)
-    require("volts per full scale", volts, WIDEST_VOLTS, "raise the level a little")
+    require("volts per full scale", volts, 0.05, "raise the level a little")
     corner = acceleration.corner_of(found, chosen, len(factors), recording.high_pass_hz or 0.0)
     return Drive(volts, corner, source)

@@ -70,9 +70,8 @@ class Link:
 class Graph:
     """The objects of one server. Not thread-safe: hold `GraphWatch.lock`.
 
-    nodes, ports, links: by id. version: the server's version, "" while unknown. clock_hz: the
-    server's configured sample rate, 0 while unknown. settings: of the server, by
-    PipeWire's names.
+    nodes, ports, links: by id. version: of the server, "" while unknown. clock_hz: its configured
+    sample rate, 0 while unknown. settings: of the server, by PipeWire's names.
     """
 
     def __init__(self) -> None:

@@ -66,7 +66,14 @@ class LinkKeeper:
                 self._ask(made[name], now_s)
             for node in found[name in made :]:  # a busy server may have made two nodes
                 self._ask(f"destroy {node.id}", now_s)
-        self._note_times(wanted, present, now_s)
+        missing, there = self._missing_s, self._present_s
+        self._present_s = {pair: there.get(pair, now_s) for pair in wanted & present}
+        self._missing_s = {
+            pair: missing.get(pair, now_s)
+            for pair in wanted
+            if now_s - self._present_s.get(pair, now_s) < HOLDS_S
+            and (pair not in present or pair in missing)
+        }
         self._renew_paused(links.values(), now_s)
 
     def missing(self, pairs: Set[LinkPair]) -> Set[LinkPair]:
@@ -81,16 +88,6 @@ class LinkKeeper:
         if command not in self._asked_s:
             self._asked_s[command] = now_s
             self._send(command)
-
-    def _note_times(self, wanted: Set[LinkPair], present: Set[LinkPair], now_s: float) -> None:
-        missing, there = self._missing_s, self._present_s
-        self._present_s = {pair: there.get(pair, now_s) for pair in wanted & present}
-        self._missing_s = {
-            pair: missing.get(pair, now_s)
-            for pair in wanted
-            if now_s - self._present_s.get(pair, now_s) < HOLDS_S
-            and (pair not in present or pair in missing)
-        }
 
     def _renew_paused(self, links: Collection[Link], now_s: float) -> None:
         """Remove links that the server has left paused; a later update makes them again."""

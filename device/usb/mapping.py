@@ -28,8 +28,7 @@ def hw_names(device: UsbAudioDevice) -> tuple[str, ...]:
 def card_of_name(name: str) -> str:
     """Return the number or id of the card in an ALSA or PortAudio name; "" if there is none.
 
-    The result is "1" for "hw:1,0" and "DAC: USB Audio (hw:1,0)", and "DAC" for
-    "plughw:CARD=DAC,DEV=0".
+    It is "1" for "hw:1,0" and "DAC: USB Audio (hw:1,0)", "DAC" for "plughw:CARD=DAC,DEV=0".
     """
     match = _IN_BRACKETS.search(name) or _PCM_NAME.fullmatch(name)
     return match["card"] if match else ""

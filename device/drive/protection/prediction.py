@@ -274,8 +274,7 @@ def _slacks_m(drives: Sequence[DriveModel], limit_m: float, stride: int) -> tupl
 def _tail(drive: DriveModel, block_frames: int) -> FloatArray:
     """Return rows that give x in m over 1.25 periods of free oscillation, (points, states).
 
-    The interval between two points divides the length of a block, so that the next block computes
-    the same points.
+    The points' interval divides the length of a block, so the next block computes the same points.
     """
     rate, hz = drive.samplerate, drive.model.resonance_hz
     wanted = max(1.0, rate / hz / _TAIL_POINTS)
