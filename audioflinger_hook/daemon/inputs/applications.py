@@ -199,7 +199,15 @@ class ApplicationsInput(Input):
         try:
             if captures is None:
                 captures = self._captures = AppCaptures()
-            self._follow(captures, now_s)
+            wanted = {stream.index: stream for stream in self._found.streams}
+            for index, (capture, _) in tuple(self._open.items()):
+                if capture.ended is EndReason.TAKEN:
+                    self._states.recover(Cause.TAP_MOVED, now_s, str(capture.ended))
+                if capture.ended is not None or index not in wanted:
+                    self._end(index)
+            for index, stream in wanted.items():
+                if index not in self._open:
+                    self._begin(captures, stream)
         except CushionError:
             self._backoff.failed(now_s)
             raise
@@ -212,17 +220,6 @@ class ApplicationsInput(Input):
         captures, self._captures = self._captures, None
         if captures is not None:
             captures.close()
-
-    def _follow(self, captures: AppCaptures, now_s: float) -> None:
-        wanted = {stream.index: stream for stream in self._found.streams}
-        for index, (capture, _) in tuple(self._open.items()):
-            if capture.ended is EndReason.TAKEN:
-                self._states.recover(Cause.TAP_MOVED, now_s, str(capture.ended))
-            if capture.ended is not None or index not in wanted:
-                self._end(index)
-        for index, stream in wanted.items():
-            if index not in self._open:
-                self._begin(captures, stream)
 
     def _begin(self, captures: AppCaptures, stream: Stream) -> None:
         voices = self._feed.voices
