@@ -25,8 +25,7 @@ _FACT_FRAMES_AT = 82
 class SegmentFormat:
     """Format and length of a segment. samplerate: Hz.
 
-    frames_there: number of frames, computed from the file's size. frames: number in the header,
-    but at most `frames_there`.
+    frames_there: frames by the file's size. frames: those in the header, at most `frames_there`.
     """
 
     samplerate: int

@@ -31,8 +31,7 @@ ALIASES = {  # maps column names of NeMo and lhotse to the names used here
     "channel": "channels",
 }
 
-# A misspelled name of one of these columns is reported, since the typo would silently change
-# results.
+# A misspelled name of one of these columns is reported: the typo would silently change results.
 _SIMILAR = ("audio", "start_s", "duration_s", "channels", "profile", "language", "audio_filepath")
 
 

@@ -53,18 +53,6 @@ class Recipe:
         """Return a hash, 32 hexadecimal digits, of everything that determines a result's bytes."""
         film = [item.track or self.track, item.language or self.language]
         part = [item.start_s, item.duration_s, item.picked, *film]
-        mine = _to_json([self._digest_of(item), part, identity])
-        return hashlib.sha256(mine.encode()).hexdigest()[:32]
-
-    def described(self) -> dict[str, Any]:
-        """Return version, export options and settings, ready for JSON."""
-        return {
-            "version": self.version,
-            **asdict(self.options),
-            "settings": json.loads(json.dumps(asdict(self.settings), default=str)),
-        }
-
-    def _digest_of(self, item: Item) -> str:
         known, chosen = self._digests, (item.profile, item.channels)
         if chosen not in known:
             settings = self.settings_of(item)
@@ -75,7 +63,16 @@ class Recipe:
             document = [self.version, asdict(self.options), asdict(settings), files]
             text = json.dumps(document, sort_keys=True, default=str)
             known[chosen] = hashlib.sha256(text.encode()).hexdigest()
-        return known[chosen]
+        mine = _to_json([known[chosen], part, identity])
+        return hashlib.sha256(mine.encode()).hexdigest()[:32]
+
+    def described(self) -> dict[str, Any]:
+        """Return version, export options and settings, ready for JSON."""
+        return {
+            "version": self.version,
+            **asdict(self.options),
+            "settings": json.loads(json.dumps(asdict(self.settings), default=str)),
+        }
 
 
 _to_json = json.JSONEncoder(sort_keys=True).encode  # `json.dumps` would make an encoder each time

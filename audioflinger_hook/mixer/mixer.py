@@ -203,7 +203,15 @@ class Mixer:
 
     def _mix(self, active: list[Lane], frames: int) -> tuple[int, int]:
         """Mix the tracks. Return the numbers of mixed tracks and of tracks with too few frames."""
-        self._follow_sessions()
+        # Each player session with an effect chain has its own mix.
+        self._chains = frozenset(self.effects.sessions())
+        players = {session for session in self._chains if session > mix_buffer.OUTPUT_MIX}
+        if players != self._sessions.keys():
+            self._sessions = {
+                session: self._sessions.get(session)
+                or SessionMix(self.samplerate, self.frames, self.channels, self.haptic_channels)
+                for session in sorted(players, reverse=True)
+            }
         if self.buffer.frames != frames:
             self.buffer.hold(frames)
         scratch = self._scratch[:frames]
@@ -225,17 +233,6 @@ class Mixer:
                 lane.mix(self.buffer.audio, scratch, first=self._empty)
                 self._empty = False
         return mixed, underruns
-
-    def _follow_sessions(self) -> None:
-        """Give each player session with an effect chain its own mix; delete other session mixes."""
-        self._chains = frozenset(self.effects.sessions())
-        players = {session for session in self._chains if session > mix_buffer.OUTPUT_MIX}
-        if players != self._sessions.keys():
-            self._sessions = {
-                session: self._sessions.get(session)
-                or SessionMix(self.samplerate, self.frames, self.channels, self.haptic_channels)
-                for session in sorted(players, reverse=True)
-            }
 
     def _process(self, now_s: float) -> None:
         """Apply the players' chains, add their outputs to the mix, then apply the mix's chains."""

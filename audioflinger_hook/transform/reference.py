@@ -177,8 +177,7 @@ class ReferenceTransform:
 class ReferenceStream:
     """The reference form of a stream with `channels` channels of sound.
 
-    transforms: one for each channel of vibration; a single transform processes the mono mix.
-    weights: see `HapticTransform`.
+    transforms: one for each channel, or one for the mono mix. weights: see `HapticTransform`.
     """
 
     told: tuple[tuple[float, float, float], ...] = ()
