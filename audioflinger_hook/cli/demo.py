@@ -67,7 +67,13 @@ def run(options: argparse.Namespace) -> int:
     if settings.parameters.strength == "felt":
         # The demo simulates one rig, so the strength can follow the resonance of this rig.
         settings = replace(settings, parameters=replace(settings.parameters, strength="rig"))
-    _make_folder(out)
+    try:
+        out.mkdir(exist_ok=True)
+    except OSError as error:
+        what = f"the folder {out} cannot be made ({error.strerror})"
+        if isinstance(error, FileExistsError):
+            what = f"{out} is not a folder"
+        raise UsageError(f"{what}; name another with --out") from None
     scene = demo_scene()
     framework = Framework(scene.samplerate, scene.channels, settings)
     warn(*framework.warnings)
@@ -109,16 +115,6 @@ def run(options: argparse.Namespace) -> int:
     _print_table(out, played, values, drawn)
     print(f"to feel your own sound, type: {as_typed('setup')}")
     return 0
-
-
-def _make_folder(out: Path) -> None:
-    try:
-        out.mkdir(exist_ok=True)
-    except OSError as error:
-        what = f"the folder {out} cannot be made ({error.strerror})"
-        if isinstance(error, FileExistsError):
-            what = f"{out} is not a folder"
-        raise UsageError(f"{what}; name another with --out") from None
 
 
 def _play(chain: Pipeline, played: Played, *, fast: bool) -> None:

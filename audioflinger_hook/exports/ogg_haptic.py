@@ -136,10 +136,8 @@ class _HapticPages(LibsndfileTarget):
                 self._open = b""
         if len(self._packets) == 1:
             self._write(flags, position, lacing, body)
-        if len(self._packets) == HEADERS:
-            self._write_headers()
-
-    def _write_headers(self) -> None:
+        if len(self._packets) < HEADERS:
+            return
         comment, setup = with_comment(self._packets[1], self._comment), self._packets[2]
         lacing = b"".join(
             b"\xff" * (len(packet) // 255) + bytes([len(packet) % 255])

@@ -160,7 +160,11 @@ class Mixer:
             except Exception as failure:  # a failing event must not interrupt the sound
                 self.failed_events += 1
                 self.last_failure = f"{type(failure).__name__}: {failure}"
-        active = self._active_lanes()
+        for lane in self._lanes:
+            lane.update()  # carries out the client's requests
+        if any(lane.gone for lane in self._lanes):
+            self._lanes = tuple(lane for lane in self._lanes if not lane.gone)
+        active = [lane for lane in self._lanes if lane.is_active]
         if self._stands_by(bool(active), now_s):
             return CycleReport(MixerState.STANDBY, 0, 0, 0, self.buffer)
         frames = self.frames if frames is None else max(1, min(frames, self.frames))
@@ -176,14 +180,6 @@ class Mixer:
         self.cycles_written += 1
         self.frames_written += frames
         return CycleReport(self.state, frames, mixed, underruns, self.buffer)
-
-    def _active_lanes(self) -> list[Lane]:
-        """Execute the clients' requests, and return the `Lane` of each active track."""
-        for lane in self._lanes:
-            lane.update()
-        if any(lane.gone for lane in self._lanes):
-            self._lanes = tuple(lane for lane in self._lanes if not lane.gone)
-        return [lane for lane in self._lanes if lane.is_active]
 
     def _stands_by(self, any_active: bool, now_s: float) -> bool:
         """Enter standby if no track was mixed for `standby_delay_s`. Return True in standby."""

@@ -17,7 +17,7 @@ from prometheus_client.core import (
 
 from audioflinger_hook import __version__
 from audioflinger_hook.monitor.clients import Clients
-from audioflinger_hook.service.figure import Entry, label_of, metrics, table
+from audioflinger_hook.service.figure import label_of, metrics, table
 from audioflinger_hook.service.json_codec import from_document
 from audioflinger_hook.service.meters import TIME_BOUNDS_S
 from audioflinger_hook.service.status import LatencyBudget, Status, status_rows
@@ -98,7 +98,12 @@ def _families(status: Status) -> Iterator[Metric]:
         by, own = entry.label
         if name not in found:
             kind = CounterMetricFamily if entry.kind == "count" else GaugeMetricFamily
-            found[name] = kind(name, _meaning(entry), labels=[by] if by else [])
+            # the help of the only figure, or of the group whose figures share the metric
+            metric = entry.figure.metric
+            is_part = len(entry.path) > 1 and "{" in metric and "{^" not in metric
+            text = entry.group.__doc__.partition("\n")[0] if is_part else f"{entry.figure.help}."
+            text = text[0].upper() + text[1:]
+            found[name] = kind(name, text, labels=[by] if by else [])
         samples = {own: value}
         if entry.figure.words:
             now = value.value if isinstance(value, Enum) else value
@@ -108,10 +113,3 @@ def _families(status: Status) -> Iterator[Metric]:
         for word, number in samples.items():
             found[name].add_metric([word] if by else [], entry.base(number))
     yield from found.values()
-
-
-def _meaning(entry: Entry) -> str:
-    """Return a metric's help: that of its only figure, or of the group whose figures share it."""
-    is_part = len(entry.path) > 1 and "{" in entry.figure.metric and "{^" not in entry.figure.metric
-    text = entry.group.__doc__.partition("\n")[0] if is_part else f"{entry.figure.help}."
-    return f"{text[0].upper()}{text[1:]}"

@@ -192,7 +192,13 @@ def prediction_records(
     tail_share = 1.0 / (excursion_m - slack_m - tail_slack_m)
     # counted back from the last frame of the block
     watched = np.arange(block_frames - 1, -1, -stride)[::-1]
-    steps = [_responses(drive, block_frames) for drive in drives]
+    steps = []  # states after an impulse, last frame first; powers 1 to block_frames of `step`
+    for drive in drives:
+        powers = [np.eye(drive.states)]
+        for _ in range(block_frames):
+            powers.append(drive.step @ powers[-1])
+        impulse = np.array([power @ drive.drive for power in powers[:-1]])[::-1]
+        steps.append((impulse, np.array(powers[1:])))
     unmoved_ohm = believed.resistance_ohm + drives[0].source_impedance_ohm
     rows = [volts / unmoved_ohm * np.eye(states)[LAST]]
     rows += [drive.i_row for drive in drives[:current_models]]
@@ -238,15 +244,6 @@ def _padded(rows: Sequence[FloatArray], least: int = 0) -> FloatArray:
 
 def _reachable(factor: float, reaches: Sequence[float]) -> FloatArray:
     return np.minimum(factor * np.array(reaches), _UNREACHABLE)
-
-
-def _responses(drive: DriveModel, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the states after an impulse, last frame first, and powers 1 to `count` of `step`."""
-    powers = [np.eye(drive.states)]
-    for _ in range(count):
-        powers.append(drive.step @ powers[-1])
-    impulse = np.array([power @ drive.drive for power in powers[:-1]])[::-1]
-    return impulse, np.array(powers[1:])
 
 
 def _slacks_m(drives: Sequence[DriveModel], limit_m: float, stride: int) -> tuple[float, float]:
