@@ -81,7 +81,12 @@ def run(options: argparse.Namespace) -> int:
         print(f"\n{path} has these settings already.")
     else:
         print(f"\n{path} will {'be' if before is None else 'change'}:")
-        print(_difference(before, text), end="")
+        if before is None:
+            lines = [line for line in text.splitlines() if line and not line.startswith("#")]
+        else:
+            old, new = before.splitlines(), text.splitlines()
+            lines = [*difflib.unified_diff(old, new, lineterm="", n=1)][2:]
+        print("".join(f"  {line}\n" for line in lines), end="")
         if not options.yes and not agree("Write it?", default=before is None):
             print(f"{path} is unchanged; {NOTHING_WRITTEN}.")
             return 0
@@ -249,16 +254,6 @@ def _new_text(
 
 def _document(text: str) -> dict[str, Any]:
     return tomllib.loads(text.removeprefix("\ufeff"))
-
-
-def _difference(before: str | None, text: str) -> str:
-    """Return the lines of a new file without comments, or the differences to an existing file."""
-    if before is None:
-        lines = [line for line in text.splitlines() if line and not line.startswith("#")]
-    else:
-        old, new = before.splitlines(), text.splitlines()
-        lines = [*difflib.unified_diff(old, new, lineterm="", n=1)][2:]
-    return "".join(f"  {line}\n" for line in lines)
 
 
 def _tell(path: Path, text: str, has_service: bool) -> None:
