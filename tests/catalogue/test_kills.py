@@ -171,7 +171,7 @@ DEATHS = {
 @pytest.mark.parametrize("reason", DEATHS)
 def test_the_cause_of_a_death_is_named(reason):
     with batch.LocalWorkers(2, "os") as place:
-        future = place.submit(*DEATHS[reason])
+        future = place.submit(*DEATHS[reason])  # type: ignore[arg-type]
         with pytest.raises(BrokenExecutor):
             future.result(60.0)
         assert place.death().startswith(reason)

@@ -89,7 +89,7 @@ def test_numbers_have_the_digits_of_rounded_floats(numbers: list[float], places:
     numbers += [one * 10.0**-place for one in numbers for place in (3, 5, 7)]
     column, rounded = np.array(numbers), np.round(numbers, places).tolist()
     (texts,) = point_texts([decimal_text(column, places)] * 2, np.array([column.size]))
-    assert b"[%b]" % texts == json_bytes([[one, one] for one in rounded])
+    assert b"[%b]" % texts == json_bytes([[one, one] for one in rounded])  # type: ignore[arg-type]
 
 
 def test_tracks_computed_together_are_those_of_tracks_alone(tmp_path, monkeypatch):

@@ -9,10 +9,8 @@ way. The entry `machine` is a probe of these; where it differs, nothing can be c
 """
 
 import argparse
-import contextlib
 import functools
 import hashlib
-import io
 import itertools
 import json
 import os
@@ -26,10 +24,10 @@ import numpy as np
 import scipy.fft
 import soundfile
 
-from audioflinger_hook.cli import main as cushion
 from audioflinger_hook.config.profiles import PROFILES, parameters_of
 from audioflinger_hook.transform import TRANSFORM_VERSION
 from audioflinger_hook.transform.design import LiveDesign
+from tests.support.commands import call
 from tests.support.recordings import FOLDER as RECORDINGS
 from tests.support.signals import FORMS
 
@@ -77,12 +75,9 @@ def machine() -> str:
 
 def run(*arguments: object) -> str:
     """Run a command in this process and return what it printed; raise where it fails."""
-    printed = io.StringIO()
-    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(io.StringIO()) as errors:
-        code = cushion([str(argument) for argument in arguments])
-    if code:
-        raise RuntimeError(f"cushion {arguments} ended with {code}: {errors.getvalue()}")
-    return printed.getvalue()
+    done = call(*arguments)
+    assert done.code == 0, (arguments, done)
+    return done.stdout
 
 
 def excerpt(recording: Path, folder: Path) -> Path:
