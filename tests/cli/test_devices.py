@@ -7,10 +7,10 @@ import pytest
 
 from audioflinger_hook.cli.devices import _server
 from audioflinger_hook.cli.usb_formats import by_setting, format_text, formats_of
-from device.server.snapshot import ServerSnapshot, Stream
 from device.usb import UsbAudioDevice, find_devices
 from device.usb.descriptors import RateRange, parse_configuration
 from tests.support import usb_builder
+from tests.support.snapshots import snapshot, stream
 from tests.support.sound_cards import ADAPTIVE, ASYNC, Cards
 from tests.support.usb_shapes import SHAPES
 from tests.support.usb_tree import UsbTree
@@ -24,16 +24,14 @@ def device(tmp_path: Path) -> UsbAudioDevice:
 
 
 def test_what_plays_is_applications_alone() -> None:
-    def stream(index: int, application: str, **known: str) -> Stream:
-        return Stream(index, 1, "dac", application, "", "", "", None, False, False, known)
-
+    own = {"application.id": "haptic-cushion"}
     streams = (
-        stream(1, "", **{"node.link-group": "filter-chain-812-7"}),  # the native engine
-        stream(2, "", **{"pulse.module.id": "9"}),  # drop-in mode
-        stream(3, "Haptic Cushion", **{"application.id": "haptic-cushion"}),
-        stream(4, "mpv"),
+        stream(1, properties={"node.link-group": "filter-chain-812-7"}),  # the native engine
+        stream(2, properties={"pulse.module.id": "9"}),  # drop-in mode
+        stream(3, application="Haptic Cushion", properties=own),
+        stream(4, application="mpv"),
     )
-    found = _server(ServerSnapshot("PipeWire", "1.4.2", "", "", (), (), streams, (), 0))
+    found = _server(snapshot(sink_inputs=streams))
     assert [application["name"] for application in found["applications"]] == ["mpv"]
 
 
