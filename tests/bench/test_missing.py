@@ -62,15 +62,6 @@ def test_what_is_missing_is_named_and_the_rest_is_printed(monkeypatch, tmp_path)
     assert not page.exists()
 
 
-def test_json_with_something_missing_is_still_one_document_by_the_schema(monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    run = run_benches(monkeypatch, "--json", broken=broken, works=fine)
-    assert (run.code, list(tmp_path.iterdir())) == (2, [])
-    report = json.loads(run.stdout)
-    fastjsonschema.validate(SCHEMA, report)
-    assert [len(section["missing"]) for section in report["sections"]] == [1, 0]
-
-
 @pytest.fixture
 def folder(monkeypatch, tmp_path):
     """A folder that holds every recording, as short ones of ours."""
@@ -180,11 +171,18 @@ def test_a_file_that_cannot_be_written_is_refused_before_anything_is_measured(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_json_writes_no_file(monkeypatch, tmp_path):
+def test_json_is_one_document_by_the_schema_even_if_something_is_missing_and_no_file(
+    monkeypatch, tmp_path
+):
     monkeypatch.chdir(tmp_path)
-    done = run_benches(monkeypatch, "--json", works=fine)
-    assert (done.code, done.stderr) == (0, "")
-    assert json.loads(done.stdout)["sections"][0]["title"] == "Fine"
+    for benches, code in (({"works": fine}, 0), ({"broken": broken, "works": fine}, 2)):
+        done = run_benches(monkeypatch, "--json", **benches)
+        assert (done.code, not done.stderr) == (code, not code)
+        report = json.loads(done.stdout)
+        fastjsonschema.validate(SCHEMA, report)
+        missing = [len(section["missing"]) for section in report["sections"]]
+        assert missing == [1] * bool(code) + [0]
+    assert report["sections"][-1]["title"] == "Fine"
     for option in ("--out", "--plots", "--tables"):
         assert bench_command("--json", option, tmp_path / "new").code == 2
     assert list(tmp_path.iterdir()) == []

