@@ -108,10 +108,8 @@ def test_the_reference_form_does_make_such_steps():
 
 
 def agreement_with_reference(sound, samplerate):
-    """Return how many principal frequencies both forms find, the live one, the reference one.
-
-    Both see the same band-passed units, before any pruning; a pair may be half a bin apart.
-    """
+    """Return how many principal frequencies of the same units, before any pruning, both forms find,
+    the live one, the reference one; a pair may be half a bin apart."""
     form = ReferenceTransform(PARAMETERS, samplerate)
     units = np.concatenate((form.cut(sound), form.cut_last()))
     theirs = form._finder.all_principal(magnitude(form._spectrum.transform(units)))

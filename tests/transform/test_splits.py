@@ -38,11 +38,8 @@ every_form = pytest.mark.parametrize("form", signals.FORMS)
 
 @functools.cache
 def busy(samplerate, seconds=1.0):
-    """Return sound that wakes every branch: silences, births and deaths, weak and strong peaks.
-
-    Noise in the middle of the band and low noise around the image's threshold let neighbouring
-    hops differ in whether they hold a peak at all, which a batch must not mix up.
-    """
+    """Return sound that wakes every branch: silences, births and deaths, weak and strong peaks, and
+    low noise around the image's threshold, where neighbouring hops differ in holding a peak."""
     return signals.joined(
         signals.silence(0.1, samplerate),
         signals.tone(300, 0.1, samplerate, 0.7),
