@@ -43,12 +43,9 @@ def test_no_form_beats_the_bound_and_the_live_form_keeps_the_limit_at_every_samp
     assert all(row.met for row in asked)
 
 
-LEAST = Workbench(replace(QUICK, rig_s=1.0), SUBJECTS, ())
-
-
 @pytest.mark.exhaustive
 def test_growth_is_told_as_ratios_of_one_run_with_an_exponent_each():
-    section = scaling.rig_scaling(LEAST)
+    section = scaling.rig_scaling(Workbench(replace(QUICK, rig_s=1.0), SUBJECTS, ()))
     columns = {row.column for row in section.rows}
     assert len(columns) == 3
     for column in columns:

@@ -7,6 +7,7 @@ from importlib.resources import files
 
 import pytest
 
+from audioflinger_hook.config.applications import ApplicationRule
 from audioflinger_hook.config.file import load
 from audioflinger_hook.config.profiles import PROFILES
 from device.drive import ActuatorSettings
@@ -34,9 +35,10 @@ def mistakes(path):
 
 RANGE = "transform.window_s = 9 is out of range; allowed: 0.01 to 0.2 s"
 WINDOW = "transform.window_s = {} is not a number; allowed: 0.01 to 0.2 s"
-TALL = "transform.band_high_hz = 300 is under twice band_low_hz=200; allowed: at least 400 Hz"
 NO_SECTION = "is not a section; allowed: [transform]"
 FIRST = "[[actuator]]\nchannels = [0]\n"
+RULE = "[[application]]\nmatch = "
+EFFECTS = "; allowed: the path of an audio_effects.xml"
 
 MISTAKES = [
     # live sound
@@ -83,7 +85,6 @@ MISTAKES = [
         (f"[transform]\namplitude_mapping = {value}", 2, f"{value} is not known; allowed: tonal,")
         for value in ('"loud"', "3", "true", '["energy"]')
     ],
-    ("[transform]\nband_high_hz = 300\nband_low_hz = 200", 2, TALL),
     ('[transform]\ntransform = "Live"', 2, "allowed: live, reference; did you mean live?"),
     ("[transform]\nchannels = true", 2, "is not known; allowed: mono, each"),
     # names, keys, sections
@@ -121,6 +122,30 @@ MISTAKES = [
     (f"{FIRST}[[ actuator ]]  # no channels", 3, "actuator[2].channels is missing; allowed: a"),
     (f"{FIRST}[[actuator\nchannels = [1]", 3, "[[actuator"),
     (f'{FIRST}[transform]\nchannels = "each"', 4, "cannot be used with actuators; allowed: mono"),
+    # rules of applications
+    *[(f'{RULE}"{match}"', 2, "has a [ without a ]") for match in ("a[", "[a][", "[!]")],
+    *[(f"{RULE}{match}", 2, f"{match} is not a pattern") for match in ('" "', "3")],
+    ("[[application]]\ngain_db = -3", 1, "application[1].match is missing"),
+    (f'{RULE}"a"\nprofile = "nix"', 3, 'application[1].profile = "nix" is not known'),
+    (f'{RULE}"a"\ngain_db = 3', 3, "application[1].gain_db = 3 is out of range"),
+    (f'{RULE}"a"\nfeel = false\ngain_db = -3', 4, "].gain_db = -3 contradicts feel = false"),
+    (f'{RULE}"a"\nfeel = false\nprofile = "game"', 4, '"game" contradicts feel = false'),
+    (f'{RULE}"a"\nlevel = 3', 3, "application[1].level = 3 is an unknown key"),
+    (
+        f'{RULE}"a"\nprofile = "speech"\n[transform]\nband_high_hz = 250',
+        *(3, "does not fit band_high_hz in [transform], which is under twice"),
+    ),
+    (f'{RULE}"mpv"\n{RULE}"MPV"', 4, '[2].match = "MPV" has a rule already, application[1]'),
+    ('[application]\nmatch = "mpv"', 1, "is not an array of tables"),
+    # effects files
+    *[
+        (f"# effects\neffects_file = {value}", 2, f"effects_file = {value} {problem}{EFFECTS}")
+        for value, problem in (
+            *(('"none.xml"', "is not a file"), ('"."', "is not a file")),
+            *(('""', "is not a path"), ("3", "is not a path")),
+        )
+    ],
+    ('effects_file = "a\\u0000b"', 1, f"is not a file{EFFECTS}"),
 ]
 
 
@@ -193,13 +218,21 @@ def test_a_broken_section_line_does_not_make_its_keys_unknown(config):
     assert found[1][1] == "transform.partials_max = 99 is out of range; allowed: 1 to 64"
 
 
-def test_what_cannot_be_read_as_text_is_refused(config, tmp_path):
-    for content in (b"\xff\xfep\x00r\x00", bytes(range(256))):  # the first is UTF-16
-        assert "is not UTF-8" in refused(call("check", "--config", config(content)))
-    for path, words in ((tmp_path / "none.toml", "No such file"), (tmp_path, "Is a directory")):
-        error = refused(call("check", "--config", path))
-        assert f"cannot be read ({words}" in error
-        assert str(path) in error
+def test_what_cannot_be_read_as_text_is_refused_and_one_mistake_in_a_document(tmp_path):
+    (tmp_path / "utf-16").write_bytes(b"\xff\xfep\x00r\x00")
+    (tmp_path / "bytes").write_bytes(bytes(range(256)))
+    for name, words in {
+        **dict.fromkeys(("utf-16", "bytes"), "is not UTF-8"),
+        "none": "cannot be read (No such file",
+        "": "cannot be read (Is a directory",
+    }.items():
+        error = refused(call("check", "--config", tmp_path / name))
+        assert words in error
+        assert str(tmp_path / name) in error
+        done = call("check", "--config", tmp_path / name, "--json")
+        (found,) = json.loads(done.stdout)
+        assert (done.code, done.stderr) == (2, "")
+        assert found["problem"].startswith(f"{tmp_path / name} ")
 
 
 @pytest.mark.parametrize(
@@ -258,6 +291,15 @@ def test_what_is_not_said_of_an_actuator_is_the_default(config):
     assert settings.sources == ("mix", "left")
 
 
+def test_rules_of_applications_keep_their_order_and_values(config):
+    second = "[[application]]\nmatch = 'mpv'\nfeel = false\n"
+    first = f'{RULE}"super*"\nprofile = "game"\ngain_db = -6\n'
+    live = load(config(f"[live]\nfeel_calls_and_alerts = true\n{first}{second}")).live
+    wanted = ApplicationRule("super*", "game", -6.0), ApplicationRule("mpv", feel=False)
+    assert (live.feel_calls_and_alerts, live.application_rules) == (True, wanted)
+    assert not load(config("")).live.feel_calls_and_alerts
+
+
 @pytest.mark.parametrize("section", ["", "[transform]\n"])
 def test_of_40_000_mistakes_the_first_are_listed_and_the_others_counted(config, section):
     path = config(section + "".join(f"key_{n} = {n}\n" for n in range(40_000)))
@@ -270,14 +312,3 @@ def test_of_40_000_mistakes_the_first_are_listed_and_the_others_counted(config, 
     told = call("check", "--config", path)
     assert told.stderr.count("\n") == len(found)
     assert len(done.stdout) <= 20_000 >= len(told.stderr)
-
-
-@pytest.mark.parametrize("content", [b"\xff\xfe", None])
-def test_a_file_that_cannot_be_read_is_a_mistake_in_one_document(tmp_path, content):
-    path = tmp_path / "config.toml"
-    if content:
-        path.write_bytes(content)
-    done = call("check", "--config", path, "--json")
-    (found,) = json.loads(done.stdout)
-    assert (done.code, done.stderr) == (2, "")
-    assert found["problem"].startswith(f"{path} ")
