@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from audioflinger_hook.transform import HapticTransform, TransformParameters
 from audioflinger_hook.transform.principal import magnitude
 from audioflinger_hook.transform.reference import ReferenceTransform
+from tests.oracle.analysis import principal_in
 from tests.support import signals
-from tests.support.principal import principal_in
 from tests.support.recordings import require_recordings
 from tests.support.signals import SAMPLERATES, best_sinusoid, burst, felt_hz, joined, made, tone
 
