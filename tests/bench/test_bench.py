@@ -1,5 +1,3 @@
-"""The bench: its measures find what was put in, its rows are complete, and nothing is hidden."""
-
 import json
 import math
 import os

@@ -1,5 +1,3 @@
-"""A capture gives back what was delivered: every bit, buffer, time and discontinuity."""
-
 import itertools
 import json
 import os

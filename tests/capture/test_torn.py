@@ -1,5 +1,3 @@
-"""Captures that were cut off or damaged: every whole buffer is read, and none that is not."""
-
 import contextlib
 import errno
 import os

@@ -1,5 +1,3 @@
-"""Workers and clients that are killed at random moments: nothing is lost, nothing half."""
-
 import contextlib
 import json
 import os

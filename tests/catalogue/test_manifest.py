@@ -1,5 +1,3 @@
-"""Manifests: what is understood, every mistake at once, and a million lines in flat memory."""
-
 import contextlib
 import gzip
 import json

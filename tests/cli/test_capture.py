@@ -1,5 +1,3 @@
-"""`cushion capture` and `cushion replay`: what was heard once is felt again, byte for byte."""
-
 import functools
 import signal
 import time

@@ -1,5 +1,3 @@
-"""`cushion check`: every mistake of a config at once, each with key, line, value and what goes."""
-
 import json
 import re
 import time

@@ -1,5 +1,3 @@
-"""`cushion export`: files of every format, and what it refuses."""
-
 import json
 import tracemalloc
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""`cushion render IN... --out-dir DIR`: several files at once, each as if alone."""
-
 import json
 import os
 import re

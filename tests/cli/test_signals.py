@@ -1,5 +1,3 @@
-"""Signals of a running daemon, and how many files it may have open."""
-
 import os
 import pty
 import resource

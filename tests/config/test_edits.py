@@ -1,5 +1,3 @@
-"""Changes to a config file while the daemon runs: what is allowed, applies, is saved and undone."""
-
 import tomllib
 from dataclasses import replace
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""The one schema: mistakes of every kind at once, JSON Schema, help, live changes."""
-
 import json
 import re
 import tomllib

@@ -1,5 +1,3 @@
-"""The instrument for live latency finds the delay that was put in, and says when it cannot."""
-
 import json
 import mmap
 import os

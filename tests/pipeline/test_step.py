@@ -1,5 +1,3 @@
-"""The chain as one step function: any client, any blocksize, the same bytes on every output."""
-
 from unittest.mock import Mock
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""The live form: what it must achieve on tones, onsets, noise and recordings."""
-
 import numpy as np
 import pytest
 import soundfile

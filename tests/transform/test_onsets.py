@@ -1,5 +1,3 @@
-"""Onsets: what begins is felt at once, as strong as it will be, and goes over without a seam."""
-
 import numpy as np
 import pytest
 

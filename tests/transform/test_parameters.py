@@ -1,5 +1,3 @@
-"""The transform's parameters: ranges, messages, documentation; and the formats it accepts."""
-
 import inspect
 import itertools
 import math

@@ -1,5 +1,3 @@
-"""Any split into blocks gives the same bytes, and silence before a sound only delays them."""
-
 import functools
 from itertools import product
 from typing import Any
