@@ -1,5 +1,3 @@
-"""Workers and clients that are killed at random moments: nothing is lost, nothing half."""
-
 import contextlib
 import json
 import os
@@ -172,7 +170,7 @@ DEATHS: dict[str, tuple[Any, ...]] = {
 @pytest.mark.parametrize("reason", DEATHS)
 def test_the_cause_of_a_death_is_named(reason):
     with batch.LocalWorkers(2, "os") as place:
-        future = place.submit(*DEATHS[reason])
+        future = place.submit(*DEATHS[reason])  # type: ignore[arg-type]
         with pytest.raises(BrokenExecutor):
             future.result(60.0)
         assert place.death().startswith(reason)
