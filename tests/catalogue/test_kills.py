@@ -170,7 +170,7 @@ DEATHS: dict[str, tuple[Any, ...]] = {
 @pytest.mark.parametrize("reason", DEATHS)
 def test_the_cause_of_a_death_is_named(reason):
     with batch.LocalWorkers(2, "os") as place:
-        future = place.submit(*DEATHS[reason])  # type: ignore[arg-type]
+        future = place.submit(*DEATHS[reason])
         with pytest.raises(BrokenExecutor):
             future.result(60.0)
         assert place.death().startswith(reason)
