@@ -33,13 +33,15 @@ class AtomicFile(contextlib.AbstractContextManager["AtomicFile"]):
 
     Before `commit`, and after `abort` or kill -9, an existing file at `path` is unchanged. A `with`
     block calls `commit` at its end, or `abort` after an exception. If `path` is a symbolic link,
-    the target of the link is replaced. One thread at a time may use the object.
+    the target of the link is replaced. The new file gets the mode, owner and extended attributes of
+    `model`, or else of the file that it replaces, as far as this user may set them. One thread at a
+    time may use the object.
     UsageError: no file can be written at `path`, for example because its folder is missing.
     WriteError: writing failed, for example because the disk is full. A method that raises
     WriteError has already called `abort`.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: str | os.PathLike[str], model: Path | None = None) -> None:
         self.path = Path(path)
         self._file_fd = self._folder_fd = -1
         self._part: str | None = None
@@ -49,6 +51,7 @@ class AtomicFile(contextlib.AbstractContextManager["AtomicFile"]):
             self._name = target.name
             self._folder_fd = os.open(target.parent, _FOLDER_FLAGS)
             self._open_file()
+            self._keep_rights(model or target)
         except (OSError, ValueError) as error:
             self.abort()
             raise _open_failure(self.path, error) from error
@@ -130,6 +133,17 @@ class AtomicFile(contextlib.AbstractContextManager["AtomicFile"]):
         self._file_fd = os.open(part, flags, _MODE, dir_fd=self._folder_fd)
         self._part = part
 
+    def _keep_rights(self, model: Path) -> None:
+        with contextlib.suppress(OSError):  # there is none, or it has no extended attributes
+            found = model.stat()
+            for uid, gid in ((-1, found.st_gid), (found.st_uid, -1)):
+                with contextlib.suppress(OSError):  # only root may give a file away
+                    os.chown(self._file_fd, uid, gid)
+            os.fchmod(self._file_fd, found.st_mode & 0o777)
+            for name in os.listxattr(model):  # such as access control lists
+                with contextlib.suppress(OSError):
+                    os.setxattr(self._file_fd, name, os.getxattr(model, name))
+
     def _part_name(self) -> str:
         # The name may already have the maximum length of 255 bytes.
         start = os.fsdecode(os.fsencode(self._name)[:200])
@@ -145,9 +159,14 @@ class AtomicFile(contextlib.AbstractContextManager["AtomicFile"]):
         return WriteError(f"cannot write {self.path}: {write_reason(error)}")
 
 
-def write_bytes_atomically(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write `content` with an `AtomicFile`: after an error, an existing file is unchanged."""
-    with AtomicFile(path) as file:
+def write_bytes_atomically(
+    path: str | os.PathLike[str], content: bytes, model: Path | None = None
+) -> None:
+    """Write `content` with an `AtomicFile`: after an error, an existing file is unchanged.
+
+    model: a file whose rights the new file gets.
+    """
+    with AtomicFile(path, model) as file:
         file.write(content)
 
 

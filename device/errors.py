@@ -1,8 +1,17 @@
 """The errors that a user may see, and the exit code of a command for each error.
 
 A message is one line. It states the mistake and, for a `UsageError`, the remedy. An exception of
-any other class is a defect of the program.
+any other class is a defect of the program, or a lack of memory.
 """
+
+import os
+import re
+import resource
+
+_NO_FOLDER = "No usable temporary directory"  # words of `tempfile`
+_NO_MEMORY = re.compile(  # words of the loader, of `threading` and of the C library
+    "failed to map segment|cannot map zero-fill|start new thread|Cannot allocate memory"
+)
 
 
 class CushionError(Exception):
@@ -50,6 +59,21 @@ class InternalError(CushionError):
 
 class WriteError(InternalError):
     """Writing a file failed, for example because the disk is full."""
+
+
+def unexpected(error: Exception) -> CushionError:
+    """Return the error that a user sees for an exception of another class."""
+    said = f"{type(error).__name__}: {error}"
+    if _NO_FOLDER in said:
+        where = os.environ.get("TMPDIR", "unset")
+        return UsageError(
+            f"no folder for temporary files can be used; TMPDIR is {where}: change it"
+        )
+    if isinstance(error, MemoryError) or _NO_MEMORY.search(said):
+        soft, _ = resource.getrlimit(resource.RLIMIT_AS)
+        limit = f"raise the limit of {soft >> 20} MB (ulimit -v)" if soft > 0 else "add memory"
+        return InternalError(f"no memory is left ({type(error).__name__}); {limit}")
+    return InternalError(f"{said}; this is a fault of cushion, please report it")
 
 
 class NoUsbBusError(NotFoundError):

@@ -244,18 +244,18 @@ class Described:
     def refusals(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
         """Return the error of each invalid field, by name; values may have any type.
 
-        A field without a value has its default. None is accepted if it is the default. Names that
-        belong to no field are not reported.
+        A field without a value has its default, which is accepted. Other names are not reported.
         """
         found: dict[str, Refusal] = {}
         accepted = {**values}
         for name, described in cls.DESCRIPTIONS.items():
             default = getattr(cls, name, MISSING)
             value = accepted[name] = values.get(name, default)
-            refusal = described.refuse(value)
             if value is MISSING:
-                refusal = Refusal("is missing", described.allowed)
-            if refusal and not (value is default is None):
+                refusal: Refusal | None = Refusal("is missing", described.allowed)
+            else:
+                refusal = None if value is default else described.refuse(value)
+            if refusal:
                 found[name] = refusal
                 del accepted[name]
         return found | cls.contradictions(accepted)

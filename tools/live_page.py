@@ -17,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from base64 import b64decode
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -29,6 +30,8 @@ from scipy.io import wavfile
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from audioflinger_hook.monitor.access import new_code
+from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from tools.sound_server import SoundServer
 
 if TYPE_CHECKING:
@@ -72,12 +75,13 @@ def missing_browser() -> list[str]:
 class Monitor:
     """A running `cushion monitor`.
 
-    environment: environment variables of the process. address: address of the page, with its access
-        token; "" if the process ended.
+    environment: environment variables of the process. address: address of the page with a code,
+        which works once; "" if the process ended. key: the page's key.
         stderr: text on standard error so far.
     """
 
     def __init__(self, environment: Mapping[str, str], *options: str) -> None:
+        self._environment = environment
         self.process = subprocess.Popen(
             [*CUSHION, "monitor", *options],
             env={**environment, "PYTHONPATH": str(ROOT)},
@@ -93,21 +97,26 @@ class Monitor:
         if not self._told.wait(START_S):
             self.close()
             raise RuntimeError(f"the page does not start: {self.stderr}")
-        self.address = self.stderr.partition("the live page: ")[2].strip()
-        self.base, _, self.token = self.address.partition("#")
+        self.address = self.stderr.partition("the live page: ")[2].partition("\n")[0]
+        self.base = self.address.partition("#")[0]
         self.host = self.base.removeprefix("http://").rstrip("/")
         self.port = int(self.host.rpartition(":")[2] or 0)
 
     @property
-    def cookie(self) -> str:
-        """The cookie that gives access to the page."""
-        return f"cushion_{self.port}={self.token}"
+    def key(self) -> str:
+        """The key that gives access to the page."""
+        return Path(self._environment["XDG_RUNTIME_DIR"], "cushion", "page.token").read_text()
+
+    def new_address(self) -> str:
+        """Return the page's address with another code."""
+        with RuntimeFolder(self._environment, create=False) as folder:
+            return f"{self.base}#{new_code(folder, time.time())}"
 
     def _read(self) -> None:
         assert self.process.stderr is not None
         for line in self.process.stderr:
             self.stderr += line
-            if "the live page: " in line:
+            if "it opens once" in line:
                 self._told.set()
         self._told.set()
 
@@ -194,7 +203,7 @@ def take_pictures(folder: Path) -> None:
         wavfile.write(quiet, samplerate, QUIET * frames)
         for (width, height), theme in VIEWS:
             with player(server, wav, "Film player"), player(server, quiet, "Web browser"):
-                page = open_page(chromium, monitor.address, width, theme)
+                page = open_page(chromium, monitor.new_address(), width, theme)
                 page.set_viewport_size({"width": width, "height": height})
                 page.wait_for_timeout(1e3 * FILLED_S)
                 wait_for_vibration(page)
@@ -224,7 +233,7 @@ def take_moving_picture(path: Path) -> None:
 
     shots: list[tuple[float, bytes]] = []
     with cinema() as (server, wav, monitor, chromium), player(server, wav, "Film player"):
-        page = open_page(chromium, monitor.address, 1280, "dark")
+        page = open_page(chromium, monitor.new_address(), 1280, "dark")
         page.set_viewport_size({"width": 1280, "height": MOVING_HEIGHT})
         session = page.context.new_cdp_session(page)
 

@@ -35,7 +35,7 @@ _SHORTEST_SECRET = 6
 
 def is_url(address: str) -> bool:
     """Return whether an address is a URL, not a path."""
-    return bool(_SCHEME.match(address))
+    return "://" in address and bool(_SCHEME.match(address))
 
 
 def credentials_in(url: str) -> bool:

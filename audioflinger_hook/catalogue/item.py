@@ -2,22 +2,25 @@
 
 import os
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from functools import lru_cache
-from pathlib import PurePosixPath
+from hashlib import blake2b
 from typing import Annotated, Any
 from urllib.parse import urlsplit
 
 from audioflinger_hook.catalogue import addresses
 from audioflinger_hook.catalogue.addresses import is_url, scrubbed
 from audioflinger_hook.config.profiles import PROFILES
+from audioflinger_hook.exports.options import FORMATS
 from device.values import Choice, Described, Number, Refusal, Text
 
 LONGEST_S = 1e7
 RESERVED = re.compile(r"catalogue|failed(-\d+-of-\d+)?")  # names of files that a run writes itself
 NAME_BYTES_MAX = 200
+OWN_FILES = re.compile(rf"({RESERVED.pattern})\.jsonl?")
+WRITTEN = (".json", *(one.suffixes[0] for one in FORMATS.values()))  # suffixes of files of a run
+USABLE_BYTES = 160  # of a part of a path in a default id; a hash and the start may follow
 
 ALIASES = {  # maps column names of NeMo and lhotse to the names used here
     "audio_filepath": "audio",  # NeMo
@@ -27,8 +30,7 @@ ALIASES = {  # maps column names of NeMo and lhotse to the names used here
     "channel": "channels",
 }
 
-# A misspelled name of one of these columns is reported, since the typo would silently change
-# results.
+# A misspelled name of one of these columns is reported: the typo would silently change results.
 _SIMILAR = ("audio", "start_s", "duration_s", "channels", "profile", "language", "audio_filepath")
 
 
@@ -61,9 +63,9 @@ class _Name(Text):
         parts = value.split("/")
         if any(part in ("", ".", "..") for part in parts) or not value.isprintable():
             return Refusal("is not a name of a result", self.allowed)
-        if max(len(os.fsencode(part)) for part in parts) > NAME_BYTES_MAX:
+        if max(len(part.encode()) for part in parts) > NAME_BYTES_MAX:
             return Refusal("is too long", f"up to {NAME_BYTES_MAX} bytes between two slashes")
-        if RESERVED.fullmatch(value):
+        if RESERVED.fullmatch(value) or OWN_FILES.fullmatch(parts[0]):
             return Refusal("is the name of a file of the run itself", "another name")
         return None
 
@@ -116,33 +118,38 @@ class Item(Described):
 COLUMNS = tuple(field.name for field in fields(Item) if field.name != "line")
 
 
-def default_id(audio: str, start_s: object, root: str = "") -> str:
-    """Return the sound's path without `root` and suffix; the start, if above 0, is appended."""
+def default_id(audio: str, start_s: object, root: str = "", *, whole: bool = False) -> str:
+    """Return the sound's path without `root` and suffix; the start, if above 0, is appended.
+
+    Parts that cannot be names of results are replaced. whole: keep the suffix.
+    """
     path = audio.removeprefix(root) if root else audio
     path = urlsplit(path).path if is_url(path) else path
-    parts = [part for part in PurePosixPath(path).parts if part not in ("/", ".", "..")]
-    name = str(PurePosixPath(*parts).with_suffix("")) if parts else ""
+    *folders, last = [part for part in path.split("/") if part not in ("", ".", "..")] or [""]
+    stem, _, suffix = last.rpartition(".")
+    if stem and suffix and not whole:
+        last = stem
+    name = "/".join([*(_usable(part, part.endswith(WRITTEN)) for part in folders), _usable(last)])
+    if RESERVED.fullmatch(name):
+        return default_id(audio, start_s, root, whole=True)
     if isinstance(start_s, (int, float)) and start_s > 0.0:
         name += f"-{start_s:.6f}".rstrip("0").rstrip(".") + "s"
     return name
+
+
+def _usable(part: str, is_taken: bool = False) -> str:
+    """Return a part of a path; if it cannot be printed or used, with a hash of it."""
+    if part.isprintable() and len(part.encode()) <= USABLE_BYTES and not is_taken:
+        return part
+    content = os.fsencode(part)
+    start = "".join(one if one.isprintable() else "_" for one in part).encode()[:USABLE_BYTES]
+    return f"{start.decode(errors='ignore')}-{blake2b(content, digest_size=4).hexdigest()}"
 
 
 def shown(value: object) -> str:
     """Return a manifest's value as text for a message, shortened and without credentials."""
     text = scrubbed(str(value))
     return repr(text if len(text) <= 80 else f"{text[:77]}...")
-
-
-def _typed(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a row's values, converted to the types of the fields where possible."""
-    found = {name: value for name, value in values.items() if value is not None}
-    channels = found.get("channels")
-    if type(channels) is int:
-        found["channels"] = (channels,)
-    elif isinstance(channels, list):
-        found["channels"] = tuple(channels)
-    seconds = [name for name in ("start_s", "duration_s") if type(found.get(name)) is int]
-    return found | {name: float(found[name]) for name in seconds}
 
 
 def values_of(row: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
@@ -159,7 +166,17 @@ def values_of(row: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
                 mistakes.append(f"{ours} is given twice, as {both}; leave one out")
         elif guess := _meant(name):
             mistakes.append(f"{shown(name)} is not known; did you mean {guess}?")
-    return values if mistakes else _typed(values), mistakes
+    if mistakes:
+        return values, mistakes
+    # Convert the values to the types of the fields where possible.
+    found = {name: value for name, value in values.items() if value is not None}
+    channels = found.get("channels")
+    if type(channels) is int:
+        found["channels"] = (channels,)
+    elif isinstance(channels, list):
+        found["channels"] = tuple(channels)
+    seconds = [name for name in ("start_s", "duration_s") if type(found.get(name)) is int]
+    return found | {name: float(found[name]) for name in seconds}, mistakes
 
 
 def cell_value(name: str, cell: str) -> Any:

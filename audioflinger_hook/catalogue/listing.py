@@ -3,7 +3,7 @@
 import fnmatch
 import os
 from collections.abc import Iterator
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from audioflinger_hook.sources.film import FILMS
 from device.errors import UsageError
@@ -17,22 +17,32 @@ SOUNDS = FILMS | {
 def walk(folder: str, out: str) -> Iterator[str]:
     """Yield the paths of the files in a folder and its subfolders, in alphabetical order.
 
-    Hidden files and folders, folders behind symbolic links, and the folder `out` are omitted.
-    UsageError: a folder cannot be read.
+    Hidden files and folders, folders behind symbolic links, and the folder `out` are omitted. Of a
+    subfolder that cannot be read, its path is yielded, followed by a slash.
+    UsageError: `folder` cannot be read.
     """
-    try:
-        with os.scandir(folder) as entries:
-            names = sorted((entry.name, entry.is_dir()) for entry in entries)
-    except OSError as error:
-        raise UsageError(f"{folder} cannot be listed ({error.strerror})") from None
-    for name, is_folder in names:
-        path = f"{folder.rstrip('/')}/{name}"
-        if name.startswith(".") or (is_folder and is_same(path, out)):
-            continue
+    waiting = [(folder.rstrip("/"), True)]  # in reverse order
+    while waiting:
+        path, is_folder = waiting.pop()
         if not is_folder:
             yield path
-        elif not Path(path).is_symlink():  # a link may lead back to a parent folder
-            yield from walk(path, out)
+            continue
+        try:
+            with os.scandir(path or "/") as entries:
+                named = [one for one in entries if not one.name.startswith(".")]
+                found = [
+                    (f"{path}/{one.name}", one.is_dir(follow_symlinks=False))
+                    for one in named
+                    if not (one.is_symlink() and os.path.isdir(one.path))  # noqa: PTH112
+                ]
+        except OSError as error:
+            if path == folder.rstrip("/"):
+                said = f"{folder} cannot be listed ({error.strerror}); allow it or name another"
+                raise UsageError(said) from None
+            yield f"{path}/"
+            continue
+        found = [(one, deep) for one, deep in found if not (deep and is_same(one, out))]
+        waiting += sorted(found, reverse=True)
 
 
 def is_same(path: str, other: str) -> bool:
@@ -57,4 +67,4 @@ def matches(path: list[str], pattern: list[str]) -> bool:
 
 def is_sound(path: str) -> bool:
     """Return whether a file name has the suffix of a sound or film."""
-    return PurePosixPath(path).suffix.lower() in SOUNDS
+    return f".{path.rpartition('.')[2].lower()}" in SOUNDS

@@ -30,7 +30,7 @@ SHOWN_MAX = 100  # largest number of listed mistakes; all mistakes are counted
 LINE_MAX = 1 << 20
 PARTITIONS = 64  # to find duplicates, ids are split by hash into this number of groups
 SPOOLED_BYTES = 1 << 16  # memory of each group; larger groups go to temporary files
-_ENTRY = Struct("<QQ")
+_ENTRY = Struct("<QQ?")
 
 
 @dataclass
@@ -64,12 +64,24 @@ class Manifest:
         self._remote = filesystem_of(self.address) if is_url(self.address) else None
         self.is_listing = False
         self._root = ""
+        self._shared: set[int] = set()  # hashes of the default ids that several items would have
+        self._is_default = False  # whether the latest item has a default id without suffix
         self._sources = self._kind()
         if listing.is_same(self.address, out):
             raise UsageError(f"--out={scrubbed(out)} is the folder of the sounds; name another")
 
     def check(self) -> tuple[int, Mistakes]:
-        """Return the number of valid items, and mistakes. UsageError: unreadable, or no items."""
+        """Return the number of valid items, and mistakes. UsageError: unreadable, or no items.
+
+        If several items would get the same default id, these ids are given their suffixes.
+        """
+        while True:
+            known = len(self._shared)
+            found = self._checked()
+            if len(self._shared) == known:
+                return found
+
+    def _checked(self) -> tuple[int, Mistakes]:
         mistakes, count = Mistakes(), 0
         with ExitStack() as stack:
             parts = [
@@ -78,8 +90,8 @@ class Manifest:
             ]
             for item in self.items(mistakes):
                 count += 1
-                name = int.from_bytes(blake2b(os.fsencode(item.id), digest_size=8).digest())
-                parts[name % PARTITIONS].write(_ENTRY.pack(name, item.line))
+                name = _hash(item.id)
+                parts[name % PARTITIONS].write(_ENTRY.pack(name, item.line, self._is_default))
             for part in parts:
                 self._find_duplicates(part, mistakes)
         if not count and not mistakes.count:
@@ -101,8 +113,12 @@ class Manifest:
         if wrong:
             return None, wrong
         audio, named = values.get("audio"), "id" in values
+        self._is_default = not named
         if not named:
-            values["id"] = default_id(str(audio), values.get("start_s"), self._root)
+            source = str(audio), values.get("start_s"), self._root
+            values["id"] = default_id(*source)
+            if self._shared and _hash(values["id"]) in self._shared:
+                values["id"], self._is_default = default_id(*source, whole=True), False
         values["line"] = line
         if audio and isinstance(audio, str):
             # Relative paths start at the manifest's folder, which may be a URL.
@@ -229,29 +245,43 @@ class Manifest:
         elif self._remote:
             filesystem, inside = self._remote
             is_glob = self._sources == "glob"
-            names = filesystem.glob(inside) if is_glob else filesystem.find(inside)
-            for name in sorted(names):
+            for name in sorted(filesystem.glob(inside) if is_glob else filesystem.find(inside)):
                 audio = str(filesystem.unstrip_protocol(name))
                 if (is_glob or listing.is_sound(name)) and not audio.startswith(f"{self.out}/"):
                     yield audio
         elif self._sources == "glob":
             paths = listing.walk(self._root.rstrip("/"), self.out)
             pattern = self.address.split("/")
-            yield from (path for path in paths if listing.matches(path.split("/"), pattern))
+            for path in paths:
+                parts = path.removesuffix("/").split("/")
+                # a folder that cannot be read counts if the glob may match files in it
+                most = [pattern[:count] for count in range(len(pattern))]
+                wanted = most if path.endswith("/") else [pattern]
+                if any(listing.matches(parts, one) for one in wanted):
+                    yield path
         else:
-            yield from filter(listing.is_sound, listing.walk(self.address, self.out))
+            for path in listing.walk(self.address, self.out):
+                if path.endswith("/") or listing.is_sound(path):
+                    yield path
 
     def _find_duplicates(self, part: IO[bytes], mistakes: Mistakes) -> None:
         part.seek(0)
-        entries = np.frombuffer(part.read(), [("name", "<u8"), ("line", "<u8")])
+        entries = np.frombuffer(part.read(), [("name", "<u8"), ("line", "<u8"), ("grows", "?")])
         entries = entries[np.lexsort((entries["line"], entries["name"]))]
-        again = np.flatnonzero(entries["name"][1:] == entries["name"][:-1])
+        is_again = entries["name"][1:] == entries["name"][:-1]
+        again = np.flatnonzero(is_again)
+        grows = entries["grows"][:-1] | entries["grows"][1:]
+        self._shared.update(entries["name"][1:][is_again & grows].tolist())
         for index in again[:SHOWN_MAX]:
             first, second = entries["line"][index], entries["line"][index + 1]
             what = "item" if self.is_listing else "line"
             advice = "list them in a manifest with an id each" if self.is_listing else "give ids"
             mistakes.add(f"{self._name}:{second}", f"has the same id as {what} {first}; {advice}")
         mistakes.count += max(0, len(again) - SHOWN_MAX)
+
+
+def _hash(name: str) -> int:
+    return int.from_bytes(blake2b(name.encode(), digest_size=8).digest())
 
 
 _true_folder: Callable[[str], str] = lru_cache(maxsize=1024)(os.path.realpath)

@@ -4,7 +4,6 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ class Recipe:
     out: path or URL of the folder of the results.
     track, language: sound track of films, for items without a value of their own.
     verify: whether sounds are identified by SHA-256, not by path, size and time.
+    retry_died: whether to try again items that have ended their workers.
     version: `VERSION` of the program that started the run.
     """
 
@@ -34,8 +34,9 @@ class Recipe:
     track: int | None = None
     language: str | None = None
     verify: bool = False
+    retry_died: bool = False
     version: str = VERSION
-    _digests: dict[Settings, str] = field(default_factory=dict, init=False, compare=False)
+    _digests: dict[tuple[Any, Any], str] = field(default_factory=dict, init=False, compare=False)
 
     def name(self, item: Item) -> str:
         """Return the name of an item's result within the output folder."""
@@ -44,13 +45,25 @@ class Recipe:
     def settings_of(self, item: Item) -> Settings:
         """Return the settings for one item, which may have its own profile and channels."""
         channels = item.channels if isinstance(item.channels, str) else None
-        return _chosen(self.settings, item.profile, channels)
+        named = {"profile": item.profile, "channels": channels}
+        given = {name: value for name, value in named.items() if value is not None}
+        return self.settings.choosing(**given) if given else self.settings
 
     def key(self, item: Item, identity: Mapping[str, Any]) -> str:
         """Return a hash, 32 hexadecimal digits, of everything that determines a result's bytes."""
         film = [item.track or self.track, item.language or self.language]
         part = [item.start_s, item.duration_s, item.picked, *film]
-        mine = json.dumps([self._digest_of(self.settings_of(item)), part, identity], sort_keys=True)
+        known, chosen = self._digests, (item.profile, item.channels)
+        if chosen not in known:
+            settings = self.settings_of(item)
+            named = [settings.rig, *(actuator.rig for actuator in settings.actuators)]
+            paths = [name for name in named if name is not None and name not in SHIPPED]
+            paths += [str(settings.effects_file)] if settings.effects_file else []
+            files = [sha256_of(Path(path)) for path in paths]
+            document = [self.version, asdict(self.options), asdict(settings), files]
+            text = json.dumps(document, sort_keys=True, default=str)
+            known[chosen] = hashlib.sha256(text.encode()).hexdigest()
+        mine = _to_json([known[chosen], part, identity])
         return hashlib.sha256(mine.encode()).hexdigest()[:32]
 
     def described(self) -> dict[str, Any]:
@@ -61,24 +74,5 @@ class Recipe:
             "settings": json.loads(json.dumps(asdict(self.settings), default=str)),
         }
 
-    def _digest_of(self, settings: Settings) -> str:
-        known = self._digests
-        if settings not in known:
-            files = [sha256_of(Path(path)) for path in _files_of(settings)]
-            document = [self.version, asdict(self.options), asdict(settings), files]
-            text = json.dumps(document, sort_keys=True, default=str)
-            known[settings] = hashlib.sha256(text.encode()).hexdigest()
-        return known[settings]
 
-
-@lru_cache(maxsize=64)
-def _chosen(settings: Settings, profile: str | None, channels: str | None) -> Settings:
-    named = {"profile": profile, "channels": channels}
-    given = {name: value for name, value in named.items() if value is not None}
-    return settings.choosing(**given) if given else settings
-
-
-def _files_of(settings: Settings) -> list[str]:
-    named = [settings.rig, *(actuator.rig for actuator in settings.actuators)]
-    files = [name for name in named if name is not None and name not in SHIPPED]
-    return [*files, *([str(settings.effects_file)] if settings.effects_file else [])]
+_to_json = json.JSONEncoder(sort_keys=True).encode  # `json.dumps` would make an encoder each time

@@ -9,8 +9,8 @@ from itertools import islice
 from audioflinger_hook.catalogue.item import Item
 from audioflinger_hook.catalogue.recipe import Recipe
 from audioflinger_hook.catalogue.timing import Timing
-from audioflinger_hook.catalogue.work import Outcome, do_batch
-from audioflinger_hook.offline.batch import DIED, Place
+from audioflinger_hook.catalogue.work import Outcome, do_batch, failed_by_death
+from audioflinger_hook.offline.batch import ENDED, NO_SERVER, Place
 from device.errors import InternalError
 
 BATCH_MAX = 256
@@ -31,6 +31,7 @@ class Run:
     """
 
     def __init__(self, recipe: Recipe, items: Iterable[Item], place: Place, timing: Timing) -> None:
+        self._plain_recipe = recipe
         self._recipe = pickle.dumps(recipe)
         self._items = iter(items)
         self._place = place
@@ -46,8 +47,7 @@ class Run:
         self._submit_more()
         while self._under_way:
             done, _ = wait(self._under_way, POLL_S, FIRST_COMPLETED)
-            # `slots` is called first, since it raises an error if the connection to the workers is
-            # lost.
+            # `slots` is called first: it raises an error if the connection to the workers is lost.
             self._place.slots()
             for future in done:
                 if found := self._result(future, self._under_way.pop(future)):
@@ -103,5 +103,6 @@ class Run:
         if self._deaths[item.line] < DEATHS_MAX:
             self._suspects.appendleft(batch)
             return []
-        error = f"{item.audio}: its worker died {DEATHS_MAX} times, {DIED}"
-        return [Outcome(item, "failed", 0.0, error=error, exit_code=InternalError.exit_code)]
+        death = self._place.death()
+        error = f"{item.audio}: its worker died {DEATHS_MAX} times, {death}"
+        return [failed_by_death(self._plain_recipe, item, error, death in (NO_SERVER, ENDED))]

@@ -8,12 +8,9 @@ deleted. The new record is written last, so a record never describes another res
 import hashlib
 import os
 import secrets
-import socket
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
@@ -21,14 +18,11 @@ from audioflinger_hook.catalogue.addresses import filesystem_of, is_url, remote_
 from audioflinger_hook.catalogue.timing import StorageError, UnreadableError
 from device.atomic_file import AtomicFile
 from device.errors import UsageError, WriteError
+from device.temporary_folder import delete_abandoned_folders, temporary_folder
 
 T = TypeVar("T")
 
 RECORD = ".json"  # suffix of a record's name, after the name of its result
-
-# Prefix of the name of an unfinished result. Host, PID namespace, process and a random number
-# follow, because containers of one host may use the same process numbers.
-PART = ".part+"
 
 # In these storages, an upload appears only when complete. In all others, the upload is renamed.
 ATOMIC = frozenset({"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "memory"})
@@ -52,7 +46,7 @@ class LocalStorage:
 
     def __init__(self, root: Path) -> None:
         self._root = root
-        self._tidy: set[Path] = set()  # folders that `_tidy_up` has cleaned
+        self._tidy: set[Path] = set()  # folders without remains of ended processes
 
     def prepare(self) -> None:
         """Make the folder if it is missing. UsageError: it cannot be made, or is not writable."""
@@ -69,14 +63,18 @@ class LocalStorage:
 
     def stamp(self, name: str) -> Stamp | None:
         """Return the `Stamp` of a file; None if there is no file."""
-        with suppress(FileNotFoundError, NotADirectoryError):
-            return _local_stamp(self._root / name)
+        path = f"{self._root}/{name}"
+        with _if_present(path):
+            return _local_stamp(path)
         return None
 
     def read(self, name: str) -> bytes | None:
         """Return the content of a small file; None if there is no file."""
-        with suppress(FileNotFoundError, NotADirectoryError):
-            return (self._root / name).read_bytes()
+        path = f"{self._root}/{name}"
+        with _if_present(path):
+            file = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # may be a pipe
+            with os.fdopen(file, "rb", 0) as opened:
+                return opened.read() or b""
         return None
 
     def write(self, name: str, content: bytes) -> None:
@@ -100,36 +98,24 @@ class LocalStorage:
             target.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise WriteError(f"cannot make the folder {target.parent}: {error.strerror}") from error
-        number = f"{os.getpid()}+{secrets.token_hex(6)}"
-        part = target.with_name(f"{_machine_start()}{number}{target.suffix}")
         try:
-            self._tidy_up(target.parent)
-            result = make(part)
-            stamp, sha256 = _local_stamp(part), digest(part)
-            self.delete(name + RECORD)
-            part.replace(target)
+            if target.parent not in self._tidy:
+                self._tidy.add(target.parent)
+                delete_abandoned_folders(target.parent)
+            with temporary_folder(target.parent) as folder:
+                part = folder / f"result{target.suffix}"
+                result = make(part)
+                stamp, sha256 = _local_stamp(part), digest(part)
+                self.delete(name + RECORD)
+                part.replace(target)
         except OSError as error:
             raise WriteError(f"cannot write {target}: {error.strerror or error}") from error
-        finally:
-            part.unlink(missing_ok=True)
         return result, stamp, sha256
 
     def restamped(self, name: str, sha256: str) -> str | None:
         """Return a file's present `Stamp.stamp` if its SHA-256 equals `sha256`, else None."""
         path = self._root / name
         return _local_stamp(path).stamp if digest(path) == sha256 else None
-
-    def _tidy_up(self, folder: Path) -> None:
-        """At the first call for a folder, delete unfinished results of processes that ended."""
-        if folder in self._tidy:
-            return
-        self._tidy.add(folder)
-        # On some file systems, `AtomicFile` adds a dot before the name of an unfinished file.
-        start = _machine_start()
-        for part in [*folder.glob(f"{start}*"), *folder.glob(f".{start}*")]:
-            process = part.name.split("+")[-2]
-            if process.isdigit() and not Path("/proc", process).exists():
-                part.unlink(missing_ok=True)
 
 
 class _RemoteStorage:
@@ -156,8 +142,8 @@ class _RemoteStorage:
         return None
 
     def write(self, name: str, content: bytes) -> None:
-        with tempfile.TemporaryDirectory(prefix="cushion-") as folder:
-            path = Path(folder) / "upload"
+        with temporary_folder() as folder:
+            path = folder / "upload"
             path.write_bytes(content)
             self._upload(path, name)
 
@@ -166,8 +152,8 @@ class _RemoteStorage:
             self._files.rm_file(self._path(name))
 
     def put(self, name: str, make: Callable[[Path], T]) -> tuple[T, Stamp, str]:
-        with tempfile.TemporaryDirectory(prefix="cushion-") as folder:
-            path = Path(folder) / f"result{PurePosixPath(name).suffix}"
+        with temporary_folder() as folder:
+            path = folder / f"result{PurePosixPath(name).suffix}"
             result = make(path)
             size, sha256 = path.stat().st_size, digest(path)
             self.delete(name + RECORD)
@@ -222,7 +208,7 @@ def identity_of(audio: str) -> Stamp | None:
         with remote_errors(scrubbed(audio), UnreadableError):
             return _remote_stamp(filesystem.info(inside))
     try:
-        found = Path(audio).stat()
+        found = os.stat(audio)  # noqa: PTH116
     except (OSError, ValueError):
         return None
     return Stamp(found.st_size, str(found.st_mtime_ns))
@@ -235,8 +221,8 @@ def local_copy(audio: str) -> Iterator[Path]:
         yield Path(audio)
         return
     filesystem, inside = filesystem_of(audio)
-    with tempfile.TemporaryDirectory(prefix="cushion-") as folder:
-        path = Path(folder) / f"sound{PurePosixPath(inside).suffix}"
+    with temporary_folder() as folder:
+        path = folder / f"sound{PurePosixPath(inside).suffix}"
         with remote_errors(scrubbed(audio), UnreadableError):
             filesystem.get_file(inside, str(path))
         yield path
@@ -256,8 +242,19 @@ def sha256_of(path: Path) -> str:
         raise UsageError(f"{path} cannot be read ({error.strerror})") from error
 
 
-def _local_stamp(path: Path) -> Stamp:
-    found = path.stat()
+@contextmanager
+def _if_present(path: str) -> Iterator[None]:
+    """Ignore that a file is missing. UsageError: it cannot be used for another reason."""
+    try:
+        yield
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read ({error.strerror}); check or delete it") from error
+
+
+def _local_stamp(path: str | Path) -> Stamp:
+    found = os.stat(path)  # noqa: PTH116
     return Stamp(found.st_size, f"{found.st_mtime_ns}-{found.st_ino}")
 
 
@@ -265,12 +262,3 @@ def _remote_stamp(info: dict[str, Any]) -> Stamp:
     found = [f"{name}={info[name]}" for name in ETAGS if info.get(name)]
     size = info.get("size")
     return Stamp(None if size is None else int(size), found[0] if found else "")
-
-
-@cache
-def _machine_start() -> str:
-    """Return the beginning of the names of unfinished results of this host and PID namespace."""
-    namespace = 0
-    with suppress(OSError):
-        namespace = Path("/proc/self/ns/pid").stat().st_ino
-    return f"{PART}{socket.gethostname()}+{namespace}+"

@@ -7,8 +7,8 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
-from shutil import copyfile
-from tempfile import NamedTemporaryFile, TemporaryFile
+from shutil import copyfileobj
+from tempfile import TemporaryFile
 from typing import IO, Any
 
 from audioflinger_hook.catalogue.storage import Storage
@@ -125,20 +125,25 @@ class Failures(AbstractContextManager["Failures"]):
     """Collects the failed items as a manifest, in a temporary file. A context manager."""
 
     def __init__(self) -> None:
-        self._file = NamedTemporaryFile("w", encoding="ascii", prefix="cushion-")  # noqa: SIM115
+        self._file: IO[bytes] = TemporaryFile()  # noqa: SIM115
 
     def add(self, outcome: Outcome) -> None:
         """Add an item that failed."""
         row = {**outcome.item.row(), "error": outcome.error, "exit_code": outcome.exit_code}
-        self._file.write(json.dumps(row) + "\n")
+        self._file.write(json.dumps(row).encode() + b"\n")
 
     def save(self, storage: Storage, name: str) -> None:
         """Store the manifest as `name`. If no item failed, delete an earlier run's manifest."""
         if not self._file.tell():
             storage.delete(name)
             return
-        self._file.flush()
-        storage.put(name, lambda path: copyfile(self._file.name, path))
+
+        def copy(path: Path) -> None:
+            self._file.seek(0)
+            with path.open("wb") as file:
+                copyfileobj(self._file, file)
+
+        storage.put(name, copy)
 
     def __exit__(self, *_error: object) -> None:
         self._file.close()

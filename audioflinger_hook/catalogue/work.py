@@ -6,6 +6,7 @@ import math
 import pickle
 import platform
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -29,7 +30,7 @@ from audioflinger_hook.exports.export import export
 from audioflinger_hook.sources import FileTap, TapClient
 from audioflinger_hook.sources.film import FILMS, FilmTap
 from audioflinger_hook.sources.tap import PartTap, SteadyTap
-from device.errors import CushionError, InternalError, UsageError
+from device.errors import CushionError, InternalError, UsageError, unexpected
 
 State = Literal["rendered", "skipped", "failed"]
 _cached_storage = lru_cache(maxsize=4)(storage_of)
@@ -38,6 +39,10 @@ FIGURES = (  # fields that a record takes from the report of an export
     "frames", "samplerate", "channels", "peak", "leak_above_250_hz_db", "limited_samples",
     "replaced_samples", "warnings",
 )  # fmt: skip
+
+
+class DeathError(InternalError):
+    """The item ended its workers in an earlier run."""
 
 
 @dataclass(frozen=True)
@@ -87,14 +92,22 @@ def do_item(recipe: Recipe, item: Item, timing: Timing) -> Outcome:
     except CushionError as error:
         found = error
     except Exception as error:
-        said = f"{type(error).__name__}: {error}; this is a fault of cushion, please report it"
-        found = InternalError(said)
+        found = unexpected(error)
         found.__cause__ = error
     text, shown = scrubbed(str(found)), scrubbed(item.audio)
     text = text if shown in text else f"{shown}: {text}"
     stops = has_errno(found, errno.ENOSPC, errno.EDQUOT) or recipe.version != VERSION
     seconds = timing.clock() - start_s
     return Outcome(item, "failed", seconds, error=text, exit_code=found.exit_code, stops=stops)
+
+
+def failed_by_death(recipe: Recipe, item: Item, error: str, is_tried_again: bool) -> Outcome:
+    """Return the failure of an item that ended its workers. It may be tried again by later runs."""
+    with suppress(CushionError):
+        if not is_tried_again and (key := _key(recipe, item)):
+            record = {"key": key, "version": VERSION, "audio": item.audio, "death": scrubbed(error)}
+            _write_record(_cached_storage(recipe.out), recipe.name(item), record)
+    return Outcome(item, "failed", 0.0, error=scrubbed(error), exit_code=DeathError.exit_code)
 
 
 def status_of(recipe: Recipe, items: Iterable[Item], timing: Timing) -> Iterator[ItemStatus]:
@@ -108,14 +121,14 @@ def status_of(recipe: Recipe, items: Iterable[Item], timing: Timing) -> Iterator
             yield ItemStatus("unreadable", str(error))
             continue
         try:
-            yield timing.repeated(lambda: _status_with(storage, name, key))  # noqa: B023
-        except OSError as error:
-            raise UsageError(f"{recipe.out}/{name} cannot be read ({error.strerror})") from error
+            yield timing.repeated(lambda: _status_with(recipe, storage, name, key))  # noqa: B023
+        except (DeathError, UsageError) as error:
+            yield ItemStatus("unreadable", str(error))
 
 
-def _status_with(storage: Storage, name: str, key: str | None) -> ItemStatus:
+def _status_with(recipe: Recipe, storage: Storage, name: str, key: str | None) -> ItemStatus:
     """Return the status of an item whose sound is readable. key: see `_key`."""
-    if key is not None and _right_record(storage, name, key):
+    if key is not None and _right_record(recipe, storage, name, key):
         return ItemStatus("done")
     if key is None or storage.stamp(name) or storage.stamp(name + RECORD):
         return ItemStatus("outdated")
@@ -125,12 +138,12 @@ def _status_with(storage: Storage, name: str, key: str | None) -> ItemStatus:
 def _do(recipe: Recipe, item: Item, timing: Timing) -> tuple[State, dict[str, Any]]:
     storage = _cached_storage(recipe.out)
     key, name = _key(recipe, item), recipe.name(item)
-    if key is not None and (record := _right_record(storage, name, key)):
+    if key is not None and (record := _right_record(recipe, storage, name, key)):
         return "skipped", record
     with local_copy(item.audio) as path:
         if key is None:
             key = recipe.key(item, {"sha256": sha256_of(path)})
-            if record := _right_record(storage, name, key):
+            if record := _right_record(recipe, storage, name, key):
                 return "skipped", record
         return "rendered", _render(recipe, item, storage, path, key, timing)
 
@@ -147,7 +160,7 @@ def _render(
     def make(target: Path) -> dict[str, Any]:
         tap, options = open_sound(path, item, recipe), recipe.options
         client, meter = TapClient(tap), VibrationMeter(settings.rig)
-        report = export(client, target, settings, options, warnings=tap.warnings, watch=meter.watch)
+        report = export(client, target, settings, options, warnings=tap.warnings, watch=meter)
         found = {one: getattr(report, one) for one in FIGURES}
         found["warnings"] = [str(one).replace(str(path), item.audio) for one in report.warnings]
         return {**found, **meter.measures()}
@@ -222,14 +235,19 @@ def _key(recipe: Recipe, item: Item) -> str | None:
     return recipe.key(item, {"audio": item.audio, "size": found.size, "stamp": found.stamp})
 
 
-def _right_record(storage: Storage, name: str, key: str) -> dict[str, Any]:
-    """Return the record of a complete result with this key; empty if there is none."""
+def _right_record(recipe: Recipe, storage: Storage, name: str, key: str) -> dict[str, Any]:
+    """Return the record of a complete result with this key; empty if there is none.
+
+    DeathError: the item with this key has ended its workers, and is not to be tried again.
+    """
     text = storage.read(name + RECORD)
     if text is None:
         return {}
     try:
         record = json.loads(text)
         right = record["key"] == key
+        if right and "death" in record and not recipe.retry_died:
+            raise DeathError(f"{record['death']}; to try it again, add --retry-died")
         size, stamp, sha256 = record["bytes"], record["stamp"], record["sha256"]
     except (ValueError, TypeError, KeyError, RecursionError):
         return {}  # incomplete, or written by another program

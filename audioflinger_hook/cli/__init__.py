@@ -13,10 +13,12 @@ from types import FrameType
 from typing import TextIO
 
 from audioflinger_hook.cli.parser import NEXT, build_parser
-from device.errors import CushionError, InternalError, WriteError
+from device.errors import CushionError, WriteError, unexpected
 from device.interruption import repeat_lost_interruptions
+from device.memory_limit import NUMPY_MB, respect_memory_limit
 
 EXIT_INTERRUPTED = 130
+LIGHT = ("check", "status")  # commands that multiply no matrices
 
 STDOUT_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # `errno` of a failed `print`
 
@@ -54,13 +56,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if isinstance(error, OSError) and error.errno in STDOUT_ERRORS and not error.filename:
             _discard(sys.stdout)
-            full = f"cannot write to standard output ({error.strerror})"
-            return _report(WriteError(full), debug)
-        fault = f"{type(error).__name__}: {error}; this is a fault of cushion, please report it"
-        return _report(InternalError(fault), debug)
+            return _report(WriteError(f"cannot write to standard output ({error.strerror})"), debug)
+        return _report(unexpected(error), debug)
 
 
 def _run(arguments: Sequence[str]) -> int:
+    if not {"-h", "--help", "--version"} & set(arguments):
+        respect_memory_limit(NUMPY_MB)
     parser = build_parser()
     try:
         options = parser.parse_args(arguments)
@@ -70,6 +72,8 @@ def _run(arguments: Sequence[str]) -> int:
         parser.print_help()
         print(f"\n{NEXT}")
         return 0
+    if options.command not in LIGHT:
+        respect_memory_limit()
     # Import only the module of this command, because some imports are slow.
     module = import_module(f"audioflinger_hook.cli.{options.command.replace('-', '_')}")
     return int(module.run(options))

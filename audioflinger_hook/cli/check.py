@@ -8,6 +8,7 @@ from pathlib import Path
 from audioflinger_hook.cli.terminal import complain, warn
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.schema import json_schema
+from audioflinger_hook.config.toml_text import Mistake, listed
 from audioflinger_hook.pipeline.config_check import find_mistakes
 from device.errors import UsageError
 
@@ -23,13 +24,19 @@ def run(options: argparse.Namespace) -> int:
         if not path.exists():
             print("[]" if options.json else f"{path} does not exist: the defaults apply")
             return 0
-    _, warnings, mistakes = find_mistakes(path)
+    warnings: list[str] = []
+    try:
+        _, warnings, mistakes = find_mistakes(path)
+    except UsageError as error:
+        if not options.json:
+            raise
+        mistakes = [Mistake(str(path), 0, "", str(error), "a config file in UTF-8")]
+    mistakes = listed(mistakes)
     if options.json:
         print(json.dumps([dataclasses.asdict(mistake) for mistake in mistakes], indent=2))
     elif not (mistakes or warnings):
         print(f"{path}: no mistakes")
-    for warning in warnings:
-        warn(warning)
-    for mistake in mistakes:
+    warn(*warnings)
+    for mistake in mistakes if not options.json else ():
         complain(f"{path}: {mistake}")
     return UsageError.exit_code if mistakes else 0

@@ -7,6 +7,7 @@ import html
 import os
 import signal
 import sys
+import time
 import webbrowser
 from collections.abc import Coroutine
 from contextlib import ExitStack, suppress
@@ -19,13 +20,13 @@ from device.errors import UsageError, not_installed
 
 OPENER = "page.html"
 """A private file that redirects a browser to the page. The browser's arguments, which other users
-can read, name this file instead of the address with the token."""
+can read, name this file instead of the address with the code."""
 
 
 def run(options: argparse.Namespace) -> int:
     """Serve the page until a signal arrives. If it is served already, only show it."""
     try:
-        from audioflinger_hook.monitor.access import LOOPBACK, Listen, load_token
+        from audioflinger_hook.monitor.access import CODE_S, LOOPBACK, Listen, new_code
         from audioflinger_hook.monitor.server import PageServer
     except ModuleNotFoundError as error:
         raise UsageError(not_installed(str(error.name), "page")) from error
@@ -33,11 +34,26 @@ def run(options: argparse.Namespace) -> int:
     if not 1.0 <= options.rate <= 60.0:
         raise UsageError(f"rate={options.rate:.12g} is out of range; allowed: 1 to 60 Hz")
     with RuntimeFolder(os.environ, create=True) as folder, ExitStack() as stack:
-        token = load_token(folder)
-        server = PageServer(listen, token, options.rate, os.environ)
 
-        def tell(address: str) -> None:
-            print(f"cushion: the live page: {address}", file=sys.stderr, flush=True)
+        def is_served(listen: Listen) -> bool:
+            """Whether another process serves the page there; else, mark that this one does."""
+            name = f"page.{listen.shown_host}:{listen.port}"
+            try:  # as long as a page is served at this address, its process locks a file
+                lock = stack.enter_context((folder.path / name).open("w"))
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:  # other errors: a second page does not find this one
+                return isinstance(error, BlockingIOError)
+            return False
+
+        def tell(served: Listen) -> None:
+            if not listen.port:
+                is_served(served)
+            address = f"{served.url}#{new_code(folder, time.time())}"
+            print(f"cushion: the live page: {address}", file=sys.stderr)
+            again = f"`{served.command}` prints another"
+            print(
+                f"cushion: it opens once, within {CODE_S:g} s; {again}", file=sys.stderr, flush=True
+            )
             if listen.host not in LOOPBACK:
                 warn(f"{listen.host} is open to the network, and HTTP is not encrypted")
             if options.open:
@@ -49,14 +65,10 @@ def run(options: argparse.Namespace) -> int:
                 if not webbrowser.open(path.as_uri()):
                     warn("no browser could be started; open this address in one")
 
-        name = f"{listen.shown_host}:{listen.port}"
-        try:  # as long as a page is served at this address, its process locks a file
-            lock = stack.enter_context((folder.path / f"page.{name}").open("w"))
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:  # other errors: a second page does not find this one
-            if isinstance(error, BlockingIOError) and listen.port:
-                tell(f"http://{name}/#{token}")
-                return 0
+        if listen.port and is_served(listen):
+            tell(listen)
+            return 0
+        server = PageServer(listen, folder, options.rate, time.time, os.environ)
         asyncio.run(_until_signal(server.run(tell)))
     return 0
 

@@ -41,17 +41,17 @@ def build_parser() -> Parser:
     return parser
 
 
-def _command(name: str, does: str, example: str = "") -> Callable[[AddOptions], AddOptions]:
-    """Return a decorator that registers a command. A module of the same name executes it."""
+def _command(does: str, example: str = "") -> Callable[[AddOptions], AddOptions]:
+    """Return a decorator that registers a command by the name of its function and its module."""
 
     def register(add_options: AddOptions) -> AddOptions:
-        COMMANDS[name] = (add_options, does, example)
+        COMMANDS[add_options.__name__[1:].replace("_", "-")] = (add_options, does, example)
         return add_options
 
     return register
 
 
-@_command("setup", "guide through the first run")
+@_command("guide through the first run")
 def _setup(command: Parser) -> None:
     command.add_switch("--yes", "ask no questions: use the given options and the defaults")
     command.add_value("--device", str, "DEVICE", f"{SEE_DEVICES}; default: ask")
@@ -62,7 +62,7 @@ def _setup(command: Parser) -> None:
     command.add_switch("--undo", "restore the files as they were before the last setup")
 
 
-@_command("demo", "play the bundled scene through the whole chain", "--fast")
+@_command("play the bundled scene through the whole chain", "--fast")
 def _demo(command: Parser) -> None:
     command.add_value("--out", Path, "DIR", "folder to write to", Path("out"))
     command.add_profile(live=True)
@@ -70,7 +70,7 @@ def _demo(command: Parser) -> None:
     command.add_switch("--fast", "run as fast as possible, not in real time")
 
 
-@_command("render", "write the vibration of sound files", "film.wav vibration.wav --profile cinema")
+@_command("write the vibration of sound files", "film.wav vibration.wav --profile cinema")
 def _render(command: Parser) -> None:
     command.usage = "%(prog)s [options] IN OUT\n       %(prog)s [options] --out-dir DIR IN..."
     # IN and OUT are parsed as one list; `cli.render` checks its length.
@@ -83,7 +83,6 @@ def _render(command: Parser) -> None:
 
 
 @_command(
-    "export",
     "write the vibration in a format of other haptic tools",
     "film.wav film.ahap --device-band 80:230",
 )
@@ -94,7 +93,6 @@ def _export(command: Parser) -> None:
 
 
 @_command(
-    "catalogue",
     "write the vibration of whole libraries",
     "music --out vibration --format flac --output-rate 1000",
 )
@@ -110,6 +108,7 @@ def _catalogue(command: Parser) -> None:
     stop = "stop after more than N failures; default: never"
     command.add_value("--max-failures", count, "N", stop)
     command.add_value("--retries", count, "N", "retries of failed I/O", 3)
+    command.add_switch("--retry-died", "try items again that ended their workers in an earlier run")
     command.add_switch("--verify", "identify sounds by SHA-256, not by path, size and time")
     command.add_value("--track", count, "N", "sound track of films; default: the film's")
     command.add_value("--language", str, "CODE", "language of the films' sound track, such as eng")
@@ -117,7 +116,7 @@ def _catalogue(command: Parser) -> None:
     command.add_exporting("wav", "wav")
 
 
-@_command("inspect", "list the principal frequencies of a sound file", "film.wav --at 12.5")
+@_command("list the principal frequencies of a sound file", "film.wav --at 12.5")
 def _inspect(command: Parser) -> None:
     command.add_argument("input", type=Path, metavar="IN", help="a sound file")
     command.add_value("--at", seconds, "SECONDS", "list only the unit at that time")
@@ -129,7 +128,7 @@ def _add_stop(command: Parser, default: str) -> None:
     command.add_argument("--seconds", type=duration, default=math.inf, metavar="S", help=stop)
 
 
-@_command("capture", "record the buffers of a sound as delivered", "recorded --seconds 10")
+@_command("record the buffers of a sound as delivered", "recorded --seconds 10")
 def _capture(command: Parser) -> None:
     command.add_argument("folder", type=Path, metavar="OUTDIR", help="a new or empty folder")
     taps = "default, sink:NAME, file:PATH, capture:DIR or scene:demo"
@@ -137,7 +136,7 @@ def _capture(command: Parser) -> None:
     _add_stop(command, "when the sound ends")
 
 
-@_command("replay", "write the vibration of a capture", "recorded vibration.wav")
+@_command("write the vibration of a capture", "recorded vibration.wav")
 def _replay(command: Parser) -> None:
     command.add_argument("folder", type=Path, metavar="DIR", help="a capture")
     command.add_argument("output", type=Path, metavar="OUT", help="float32 WAV to write")
@@ -145,7 +144,7 @@ def _replay(command: Parser) -> None:
     command.add_rendering(acceleration=True)
 
 
-@_command("dump", "show threads, tracks, effects and counters", "--tap file:film.wav --at 2")
+@_command("show threads, tracks, effects and counters", "--tap file:film.wav --at 2")
 def _dump(command: Parser) -> None:
     command.add_value("--tap", str, "TAP", "file:PATH, capture:DIR or scene:demo", "scene:demo")
     command.add_value("--at", seconds, "SECONDS", "seconds of sound to play first; default: 1")
@@ -153,7 +152,6 @@ def _dump(command: Parser) -> None:
 
 
 @_command(
-    "run",
     "play vibration of everything that this computer plays",
     "--device usb:152a:8750 --profile cinema",
 )
@@ -170,28 +168,30 @@ def _run(command: Parser) -> None:
     command.add_switch("--wait", "wait until server, device and tap are available")
 
 
-@_command("status", "show the state of the running daemon", "--watch")
+@_command("show the state of the running daemon", "--watch")
 def _status(command: Parser) -> None:
     command.add_switch("--watch", "repeat until interrupted; with --json, a line each second")
     command.add_json()
 
 
-@_command("monitor", "serve the live page of the running daemon", "--open")
+@_command("serve the live page of the running daemon", "--open")
 def _monitor(command: Parser) -> None:
     command.add_value("--listen", str, "HOST:PORT", "address to serve at", "127.0.0.1:8765")
     command.add_switch("--open", "open it in a browser")
     command.add_value("--rate", float, "HZ", "updates of the page per second, 1 to 60", 30.0)
 
 
-_command("tray", "show a tray icon with on and off, strength and profile")(lambda _: None)
+@_command("show a tray icon with on and off, strength and profile")
+def _tray(_: Parser) -> None:
+    pass
 
 
-@_command("devices", "list outputs and playing applications")
+@_command("list outputs and playing applications")
 def _devices(command: Parser) -> None:
     command.add_json()
 
 
-@_command("usb", "decode a USB audio device, or a dump of one", "describe usb:152a:8750")
+@_command("decode a USB audio device, or a dump of one", "describe usb:152a:8750")
 def _usb(command: Parser) -> None:
     does = "describe: show formats; set: set volume, samplerate and mute, without a driver"
     command.add_argument("does", choices=("describe", "set"), metavar="describe|set", help=does)
@@ -206,9 +206,7 @@ def _usb(command: Parser) -> None:
     command.add_json()
 
 
-@_command(
-    "test-tone", "play a tone on one output, to find the right one", "--device sink:NAME --hz 50"
-)
+@_command("play a tone on one output, to find the right one", "--device sink:NAME --hz 50")
 def _test_tone(command: Parser) -> None:
     command.add_argument("--device", required=True, metavar="DEVICE", help=SINKS)
     command.add_value("--hz", float, "HZ", "frequency", 60.0)
@@ -216,7 +214,7 @@ def _test_tone(command: Parser) -> None:
     command.add_value("--seconds", float, "S", "duration", 2.0)
 
 
-@_command("sync", "find the delay between sound and vibration")
+@_command("find the delay between sound and vibration")
 def _sync(command: Parser) -> None:
     person = "ask a simulated person with this delay; SCATTER_MS: of its answers, default 15"
     command.add_value("--simulate", str, "MS[:SCATTER_MS]", person)
@@ -224,7 +222,7 @@ def _sync(command: Parser) -> None:
     command.add_json()
 
 
-@_command("calibrate", "identify a rig with sweeps of rising level", "--device twin --out rig.toml")
+@_command("identify a rig with sweeps of rising level", "--device twin --out rig.toml")
 def _calibrate(command: Parser) -> None:
     devices = f"{SEE_DEVICES}; or twin"
     command.add_argument("--device", required=True, metavar="DEVICE", help=devices)
@@ -252,9 +250,7 @@ def _calibrate(command: Parser) -> None:
     command.add_json()
 
 
-@_command(
-    "plugin", "install the effect as a plugin of other audio software", "install --device NODE"
-)
+@_command("install the effect as a plugin of other audio software", "install --device NODE")
 def _plugin(command: Parser) -> None:
     from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
 
@@ -262,15 +258,14 @@ def _plugin(command: Parser) -> None:
     verbs = ("path", "install", "remove")
     command.add_argument("does", choices=verbs, metavar="|".join(verbs), help=does)
     names = f"profile of the PipeWire chain: {', '.join(PROFILES)}"
-    profile = command.add_value("--profile", str, "NAME", names, LIVE_DEFAULT)
-    profile.choices = tuple(PROFILES)
+    command.add_value("--profile", str, "NAME", names, LIVE_DEFAULT).choices = tuple(PROFILES)
     command.add_value(
         "--device", str, "NODE", "also write a PipeWire chain that plays to this sink"
     )
     command.add_value("--rate", int, "HZ", "also write settings for this sample rate")
 
 
-@_command("install-service", "start the daemon at every login", "--device usb:152a:8750")
+@_command("start the daemon at every login", "--device usb:152a:8750")
 def _install_service(command: Parser) -> None:
     command.add_value("--device", str, "DEVICE", f"{SEE_DEVICES}; default: the config's")
     command.add_value("--tap", str, "TAP", "where the sound comes from; default: the config's")
@@ -279,7 +274,7 @@ def _install_service(command: Parser) -> None:
     command.add_switch("--udev", rule)
 
 
-@_command("doctor", "find the faults of this set-up, with advice", "--report report.txt")
+@_command("find the faults of this set-up, with advice", "--report report.txt")
 def _doctor(command: Parser) -> None:
     fixes = "repair what needs no root: a stale lock, the plugin's copy, a folder, a muted device"
     command.add_switch("--fix", fixes)
@@ -289,7 +284,7 @@ def _doctor(command: Parser) -> None:
     command.add_json()
 
 
-@_command("check", "report every mistake of a config file", "--config config.toml")
+@_command("report every mistake of a config file", "--config config.toml")
 def _check(command: Parser) -> None:
     command.add_value("--config", Path, "FILE", "default: ~/.config/cushion/config.toml")
     command.add_switch("--schema", "print the JSON Schema of the config, for editors")

@@ -4,32 +4,27 @@ import argparse
 import os
 import sys
 
-from audioflinger_hook.plugin.install import (
-    LOADING_COMMANDS,
-    RATES_HZ,
-    Places,
-    built_plugin,
-    install,
-    remove,
-)
+from audioflinger_hook.plugin import install as plugin
 
 
 def run(options: argparse.Namespace) -> int:
     """Print the plugin's path, or install or remove the plugin for this user."""
-    places = Places.of(os.environ)
+    places = plugin.Places.of(os.environ)
     if options.does == "path":
-        print(places.plugin if places.plugin.is_file() else built_plugin())
+        print(places.plugin if places.plugin.is_file() else plugin.built_plugin())
     elif options.does == "remove":
-        for path in remove(places):
+        for path in plugin.remove(places):
             print(f"{path}: removed")
     else:
-        rates_hz = (*RATES_HZ, options.rate) if options.rate else RATES_HZ
-        install(places, options.profile, options.device, tuple(sorted(set(rates_hz))))
-        print(f"{places.plugin}: written, for {', '.join(map(str, sorted(set(rates_hz))))} Hz")
+        rates_hz = sorted({*plugin.RATES_HZ, *([options.rate] if options.rate else [])})
+        plugin.install(places, options.profile, options.device, tuple(rates_hz))
+        print(f"{places.plugin}: written, for {', '.join(map(str, rates_hz))} Hz")
         print(f"{places.bundle}: written")
         if options.device:
             print(f"{places.chain}: written")
-            print("to load it now, or at every login, type:", *LOADING_COMMANDS, sep="\n    ")
+            print(
+                "to load it now, or at every login, type:", *plugin.LOADING_COMMANDS, sep="\n    "
+            )
             print("to remove it: cushion plugin remove")
     sys.stdout.flush()
     return 0

@@ -10,13 +10,7 @@ from audioflinger_hook.cli.arguments import given_values
 from audioflinger_hook.cli.terminal import complain, level_text, progress_bar, warn
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.offline.batch import (
-    WORKERS_MAX,
-    Rendered,
-    render_files,
-    targets_in,
-    usable_cores,
-)
+from audioflinger_hook.offline import batch
 from audioflinger_hook.offline.render import RenderReport, render_file
 from device.errors import UsageError
 from device.rig.model_record import in_words
@@ -31,8 +25,23 @@ def run(options: argparse.Namespace) -> int:
     workers = chosen_workers(options.workers)
     if options.out_dir is not None:
         return _run_several(options, workers)
-    _check_files(options.files)
-    options.input, options.output = options.files
+    files = options.files
+    if len(files) < 2:
+        missing = ", ".join(("IN", "OUT")[len(files) :])
+        raise UsageError(f"the following arguments are required: {missing}; {SEE_HELP}")
+    if len(files) > 2:
+        more = " ".join(str(file) for file in files[2:])
+        raise UsageError(
+            f"unrecognized arguments: {more}; allowed: IN OUT, or any number of IN with "
+            f"--out-dir DIR; {SEE_HELP}"
+        )
+    out = files[1]
+    if str(out) == "-":
+        raise UsageError("OUT = '-': standard output cannot take a WAV; name a file")
+    if out.suffix.lower() not in (*WAV_SUFFIXES, ""):
+        allowed = f"a name that ends in {', '.join(WAV_SUFFIXES)}, or without an ending"
+        raise UsageError(f"OUT = '{out}': the vibration is written as WAV; allowed: {allowed}")
+    options.input, options.output = files
     settings = chosen_settings(options)
     source, target, acceleration = options.input, options.output, options.acceleration
     with progress_bar(source.name) as progress:
@@ -46,12 +55,12 @@ def _run_several(options: argparse.Namespace, workers: int) -> int:
         raise UsageError(f"the following arguments are required: IN; {SEE_HELP}")
     if options.acceleration is not None:
         raise UsageError("--acceleration names one file; render one by one with it: IN OUT")
-    targets = targets_in(options.out_dir, options.files)
+    targets = batch.targets_in(options.out_dir, options.files)
     settings = chosen_settings(options)
-    came: list[Rendered] = []
+    came: list[batch.Rendered] = []
     warned: set[str] = set()
     with progress_bar(f"{len(targets)} files") as progress:
-        for rendered in render_files(
+        for rendered in batch.render_files(
             options.files, targets, settings, workers, lambda share: progress(share, 1.0)
         ):
             came.append(rendered)
@@ -69,37 +78,19 @@ def _run_several(options: argparse.Namespace, workers: int) -> int:
     return max(rendered.exit_code for rendered in came)
 
 
-def _entry(rendered: Rendered) -> dict[str, object]:
+def _entry(rendered: batch.Rendered) -> dict[str, object]:
     head = {"input": str(rendered.source), "output": str(rendered.target)}
     if rendered.report is None:
         return {**head, "error": rendered.error, "exit_code": rendered.exit_code}
     return {**head, **dataclasses.asdict(rendered.report)}
 
 
-def _check_files(files: list[Path]) -> None:
-    if len(files) < 2:
-        missing = ", ".join(("IN", "OUT")[len(files) :])
-        raise UsageError(f"the following arguments are required: {missing}; {SEE_HELP}")
-    if len(files) > 2:
-        more = " ".join(str(file) for file in files[2:])
-        raise UsageError(
-            f"unrecognized arguments: {more}; allowed: IN OUT, or any number of IN with "
-            f"--out-dir DIR; {SEE_HELP}"
-        )
-    out = files[1]
-    if str(out) == "-":
-        raise UsageError("OUT = '-': standard output cannot take a WAV; name a file")
-    if out.suffix.lower() not in (*WAV_SUFFIXES, ""):
-        allowed = f"a name that ends in {', '.join(WAV_SUFFIXES)}, or without an ending"
-        raise UsageError(f"OUT = '{out}': the vibration is written as WAV; allowed: {allowed}")
-
-
 def chosen_workers(wanted: int | None) -> int:
     """Return `wanted`, or the number of usable cores for None. UsageError: it is out of range."""
     if wanted is None:
-        return usable_cores()
-    if not 1 <= wanted <= WORKERS_MAX:
-        raise UsageError(f"--workers={wanted} is out of range; allowed: 1 to {WORKERS_MAX}")
+        return batch.usable_cores()
+    if not 1 <= wanted <= batch.WORKERS_MAX:
+        raise UsageError(f"--workers={wanted} is out of range; allowed: 1 to {batch.WORKERS_MAX}")
     return wanted
 
 
@@ -119,8 +110,7 @@ def show_report(
 ) -> None:
     """Print a summary, and warnings on stderr. more: further counts to print, keyed by name."""
     more = more or {}
-    for warning in report.warnings:
-        warn(warning)
+    warn(*report.warnings)
     if options.json:
         print(json.dumps({**dataclasses.asdict(report), **more}, indent=2))
     else:

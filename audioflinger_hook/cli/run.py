@@ -194,7 +194,7 @@ def _keep_on(
             if signals.reload:
                 signals.reload = False
                 supervisor.config_error = reporter.reload(follow_config, now_s)
-            control.work()
+            control.work(now_s)
             supervisor.tick(now_s)
             report = supervisor.states.report(now_s)
             reporter.tell_engine(*supervisor.engines.playing)
@@ -204,7 +204,8 @@ def _keep_on(
             reporter.show_meter(lambda: status_of(supervisor, time.monotonic()), now_s)
             if watchdog.due(supervisor.engines.counts[1], report.state, now_s):
                 reporter.notifier.send("WATCHDOG=1")
-            wake.wait(min(supervisor.rest_s, watchdog.check_s or supervisor.rest_s))
+            rest_s = min(supervisor.rest_s, control.rest_s(now_s))
+            wake.wait(min(rest_s, watchdog.check_s or rest_s))
     finally:
         reporter.end(_warnings(supervisor))
     if supervisor.output.summary:

@@ -67,18 +67,16 @@ class RunReporter:
             self._print(text)
 
     def tell_page(self, address: str) -> None:
-        """Print a new page address, without its token (after `#`) unless stderr is a terminal."""
-        shown = address if sys.stderr.isatty() else address.partition("#")[0]
-        if shown and shown != self._page:
-            self._print(f"the live page: {shown}")
-        self._page = shown
+        """Print a new page address."""
+        if address and address != self._page:
+            self._print(f"the live page: {address}")
+        self._page = address
 
     def show_meter(self, status: Callable[[], Status], now_s: float) -> None:
         """Draw the level meter in the terminal's last line, at most once per METER_S."""
         if self._has_meter and now_s - self._drawn_s >= METER_S:
             self._drawn_s = now_s
-            width = shutil.get_terminal_size().columns - 1
-            self._write(meter_line(status(), width))
+            self._write(meter_line(status(), shutil.get_terminal_size().columns - 1))
 
     def reload(self, follow_config: Callable[[], str], now_s: float) -> str:
         """Reload the config and print the changes. Return the message of an error, or ""."""

@@ -16,12 +16,7 @@ from audioflinger_hook.config import toml_text
 from audioflinger_hook.service import autostart
 from audioflinger_hook.service import install as service
 from audioflinger_hook.service.desktop_entry import install_page_entry, remove_page_entry
-from device.atomic_file import (
-    make_private_folder,
-    remove_file,
-    write_bytes_atomically,
-    write_private,
-)
+from device import atomic_file
 from device.errors import CushionError, UsageError
 
 RECORDS_NAME = "setup-undo.json"
@@ -58,7 +53,7 @@ def write(path: Path, before: str | None, text: str, *, with_service: bool) -> s
     earlier = _records()
     backup = None
     if changes:
-        make_private_folder(path.parent)
+        atomic_file.make_private_folder(path.parent)
         if before is not None:
             backup = _copy(path.read_bytes(), path, "before-setup")
     record = Record(
@@ -72,7 +67,7 @@ def write(path: Path, before: str | None, text: str, *, with_service: bool) -> s
     try:
         _save([*earlier, record])
         if changes:
-            write_bytes_atomically(path, text.encode())
+            atomic_file.write_bytes_atomically(path, text.encode())
         if with_service:
             if autostart.has_systemd():
                 service.install(["--wait"], systemd=service.systemd_version())
@@ -145,12 +140,12 @@ def _restore_config(record: Record) -> list[str]:
     if now == before:
         return [f"{path}: as it was before"]
     if now not in ((record.written or "").encode(), None):
-        kept = _copy(now or b"", path, "undone")
-        done.append(f"{kept}: your later changes")
+        done.append(f"{_copy(now or b'', path, 'undone')}: your later changes")
     if before is None:
-        remove_file(path)
+        atomic_file.remove_file(path)
         return [*done, f"{path}: removed"]
-    write_private(path, before)
+    atomic_file.make_private_folder(path.parent)
+    atomic_file.write_bytes_atomically(path, before, Path(record.backup or path))
     return [*done, f"{path}: as it was before"]
 
 
@@ -160,7 +155,7 @@ def _copy(content: bytes, path: Path, word: str) -> Path:
         found = path.with_name(f"{path.name}.{word}{f'-{number}' if number > 1 else ''}")
         if not os.path.lexists(found):
             break
-    write_bytes_atomically(found, content)
+    atomic_file.write_bytes_atomically(found, content, path)
     return found
 
 
@@ -181,4 +176,4 @@ def _save(records: list[Record]) -> None:
             path.unlink(missing_ok=True)
             return
     kept = [asdict(record) for record in records[-RECORDS_MAX:]]
-    write_private(path, json.dumps(kept, indent=1).encode())
+    atomic_file.write_private(path, json.dumps(kept, indent=1).encode())

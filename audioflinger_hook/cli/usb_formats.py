@@ -18,6 +18,8 @@ from device.usb import UsbAudioDevice
 from device.usb.descriptors import Configuration, PlaybackFormat, RateRange, playback_formats
 from device.usb.mapping import hw_names
 
+_DSD = {"raw data", "DSD"}  # "raw data" in USB Audio 2 is taken as native DSD
+_SYNCHRONISATIONS = {"ASYNC": "asynchronous", "ADAPTIVE": "adaptive", "SYNC": "synchronous"}
 Samplerates = list[int] | dict[str, int] | None  # discrete rates or a range in Hz; None if unknown
 
 
@@ -32,10 +34,9 @@ def formats_of(
     device: None for a dump, which has no driver. asked: sample rates that the device reported.
     """
     listed = by_setting(device, root) if device else {}
-    decoded = playback_formats(configuration) if configuration else ()
     found = [
         _decoded(each, listed.pop((each.interface, each.alternate), None), asked)
-        for each in decoded
+        for each in (playback_formats(configuration) if configuration else ())
     ]
     uac = configuration.uac if configuration else None
     return found + [_listed(each, uac) for each in listed.values()]
@@ -75,9 +76,6 @@ def samplerates_text(rates: Samplerates, units: str = "Hz") -> str:
         lowest, highest = rates["lowest"] / per_unit, rates["highest"] / per_unit
         return f"{lowest:.10g} to {highest:.10g} {units}"
     return f"{', '.join(f'{rate / per_unit:.10g}' for rate in rates)} {units}"
-
-
-_DSD = {"raw data", "DSD"}  # "raw data" in USB Audio 2 is taken as native DSD
 
 
 def _decoded(
@@ -121,9 +119,6 @@ def _listed(each: UsbFormat, uac: int | None) -> dict[str, Any]:
         "feedback": False,
         "implicit_feedback": False,
     }
-
-
-_SYNCHRONISATIONS = {"ASYNC": "asynchronous", "ADAPTIVE": "adaptive", "SYNC": "synchronous"}
 
 
 def _is_dsd(listed: UsbFormat) -> bool:

@@ -1,18 +1,14 @@
 """Reads the config file (TOML), and finds all mistakes in it at once, with line numbers."""
 
 import os
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from audioflinger_hook.config import profiles
 from audioflinger_hook.config.applications import ApplicationRule, rule_refusals
 from audioflinger_hook.config.edits import Edits, apply_edits
-from audioflinger_hook.config.profiles import (
-    LIVE_DEFAULT,
-    OFFLINE_DEFAULT,
-    parameters_of,
-    values_of,
-)
 from audioflinger_hook.config.schema import (
     ACTUATOR,
     APPLICATION,
@@ -24,7 +20,14 @@ from audioflinger_hook.config.schema import (
     keys_of,
 )
 from audioflinger_hook.config.settings import LiveSettings, Settings
-from audioflinger_hook.config.toml_text import Mistake, lines_of_keys, parse, printable, text_of
+from audioflinger_hook.config.toml_text import (
+    LISTED_MAX,
+    Mistake,
+    lines_of_keys,
+    parse,
+    printable,
+    text_of,
+)
 from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings, wiring_refusals
 from device.errors import UsageError
@@ -48,10 +51,12 @@ def default_path() -> Path:
 def names_a_device() -> bool:
     """Return whether the user's config names a device. UsageError: the file has mistakes."""
     path = default_path()
-    return path.exists() and load(path, LIVE_DEFAULT).live.device is not None
+    return path.exists() and load(path, profiles.LIVE_DEFAULT).live.device is not None
 
 
-def load(path: Path, default_profile: str = OFFLINE_DEFAULT, edits: Edits | None = None) -> Config:
+def load(
+    path: Path, default_profile: str = profiles.OFFLINE_DEFAULT, edits: Edits | None = None
+) -> Config:
     """Return the settings of a config file; see `check`. UsageError: the file has mistakes."""
     config, mistakes = check(path, default_profile, edits)
     if config is None:
@@ -61,7 +66,7 @@ def load(path: Path, default_profile: str = OFFLINE_DEFAULT, edits: Edits | None
 
 
 def check(
-    path: Path, default_profile: str = OFFLINE_DEFAULT, edits: Edits | None = None
+    path: Path, default_profile: str = profiles.OFFLINE_DEFAULT, edits: Edits | None = None
 ) -> tuple[Config | None, list[Mistake]]:
     """Return a file's settings and an empty list, or None and all mistakes, ordered by line.
 
@@ -91,10 +96,8 @@ class _Reading:
     def __init__(
         self, lines: dict[str, int], folder: Path, mistakes: list[Mistake], default_profile: str
     ) -> None:
-        self.default_profile = default_profile
-        self.lines = lines
-        self.folder = folder
-        self.mistakes = mistakes
+        self.lines, self.folder = lines, folder
+        self.mistakes, self.default_profile = mistakes, default_profile
         self.shown: dict[str, str] = {}
         # Accepted values by class and field; for arrays, the values of the latest table.
         self.accepted: dict[type[Described], dict[str, Any]] = {key.owner: {} for key in KEYS}
@@ -136,7 +139,9 @@ class _Reading:
             if not isinstance(value, dict):
                 self.shown[shown] = _shown(value)
             if name not in known:
-                self._add(shown, _unknown(section, name, is_section=isinstance(value, dict)))
+                # Similar names take long to find, and only the first mistakes are shown.
+                told = name if len(self.mistakes) < LISTED_MAX else ""
+                self._add(shown, _unknown(section, told, is_section=isinstance(value, dict)))
                 continue
             key = known[name]
             resolved = key.description.resolved(value, self.folder)
@@ -167,7 +172,7 @@ class _Reading:
                 self._add(f"{ACTUATOR}[{number}].channels", refusal)
 
     def _contradictions(self, owner: type[Described], profile: str) -> dict[str, Refusal]:
-        base = values_of(profile) if owner is TransformParameters else {}
+        base = profiles.values_of(profile) if owner is TransformParameters else {}
         values = owner.defaults() | base | self.accepted[owner]
         values = {n: value for n, value in values.items() if (owner, n) not in self.refused}
         return owner.contradictions(values)
@@ -183,7 +188,7 @@ class _Reading:
             **self.accepted[Settings]
             | {
                 "profile": self.profile,
-                "parameters": parameters_of(self.profile, chosen),
+                "parameters": profiles.parameters_of(self.profile, chosen),
                 "said": tuple(chosen),
                 "actuators": tuple(
                     ActuatorSettings(**actuator) for actuator in self.arrays[ACTUATOR]
@@ -195,17 +200,15 @@ class _Reading:
             settings, LiveSettings(**self.accepted[LiveSettings], application_rules=rules)
         )
 
-    def _line(self, key: str) -> int:
-        """Return the line number of a key, else that of its section, else 0."""
+    def _add(self, key: str, refusal: Refusal) -> None:
         section = key.partition(".")[0]
         names = (key, section, section.partition("[")[0])
-        return next((self.lines[name] for name in names if name in self.lines), 0)
-
-    def _add(self, key: str, refusal: Refusal) -> None:
-        where = printable(key), self._line(key), self.shown.get(key, "")
-        self.mistakes.append(Mistake(*where, *astuple(refusal)))
+        line = next((self.lines[name] for name in names if name in self.lines), 0)
+        where = printable(key), line, self.shown.get(key, "")
+        self.mistakes.append(Mistake(*where, refusal.wrong, refusal.allowed, refusal.nearest))
 
 
+@lru_cache(maxsize=128)
 def _unknown(section: str, name: str, is_section: bool) -> Refusal:
     """Return a message about an unknown key or section, with the most similar known name."""
     if name in REPLACED.get(section, {}):

@@ -23,22 +23,20 @@ BY_ENERGY = ProfileValue("energy", "noise and chords feel as strong as a tone of
 FOLLOWED = ProfileValue(54.0, "whispers cause vibration; silence and room noise do not")
 FLOOR = ProfileValue(-68.0, "soft sounds at low volume cause vibration; inaudible hiss does not")
 FELT = ProfileValue("felt", "all frequencies feel equally strong to a seated body")
-DEEP = ProfileValue(20.0, "sub-bass causes vibration, down to the lowest notes")
 SONE = ProfileValue(0.68, "nearly proportional to sone: twice as loud feels twice as strong")
 STEADY = ProfileValue(1.25, "steady sounds give steady vibration; small changes are followed")
 ROOM = ProfileValue(-24.0, "headroom for the loudest sounds")
 WARBLE = "tones too close to feel as two would beat"
-LOWER = ProfileValue(
-    "jnd", "a seated body feels low frequencies better, and amplifiers have headroom"
-)
 
 FOLLOWING = {  # for all profiles except `paper`: louder sounds cause stronger vibration
     "amplitude_mapping": BY_ENERGY,
     "loudness_db": FOLLOWED,
     "loudness_floor_db": FLOOR,
     "strength": FELT,
-    "band_low_hz": DEEP,
-    "mapping": LOWER,
+    "band_low_hz": ProfileValue(20.0, "sub-bass causes vibration, down to the lowest notes"),
+    "mapping": ProfileValue(
+        "jnd", "a seated body feels low frequencies better, and amplifiers have headroom"
+    ),
     "dynamics": SONE,
     "jitter_db": STEADY,
 }

@@ -135,8 +135,7 @@ def _keys() -> tuple[Key, ...]:
     for owner, section, change in _OWNERS:
         for field, described in owner.DESCRIPTIONS.items():
             if owner is ActuatorSettings and field == "rig":  # `Settings` reads the rig file
-                meaning = described.meaning
-                described = replace(Settings.DESCRIPTIONS["rig"], meaning=meaning)
+                described = replace(Settings.DESCRIPTIONS["rig"], meaning=described.meaning)
             default = getattr(owner, field, MISSING)
             default = live_default = None if default is MISSING else default
             if field == "profile" and owner is Settings:
@@ -179,6 +178,5 @@ def json_schema() -> dict[str, Any]:
 
 
 def _table(section: str) -> dict[str, Any]:
-    keys = keys_of(section)
-    properties = {name: key.json_schema() for name, key in keys.items()}
+    properties = {name: key.json_schema() for name, key in keys_of(section).items()}
     return {"type": "object", "additionalProperties": False, "properties": properties}

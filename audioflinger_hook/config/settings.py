@@ -12,16 +12,9 @@ from audioflinger_hook.config.profiles import OFFLINE_DEFAULT, PROFILES, paramet
 from audioflinger_hook.sources import parse_tap
 from audioflinger_hook.sources.address import GRAMMAR as TAPS
 from audioflinger_hook.transform import Form, TransformParameters
+from device import drive
 from device.address import GRAMMAR as DEVICES
 from device.address import parse_device
-from device.drive import (
-    ActuatorSettings,
-    ChannelMap,
-    channels_needed,
-    sources_of,
-    wiring_of,
-    wiring_refusals,
-)
 from device.drive.damping import resonance_as_damped
 from device.drive.settings import DAMPING, EXPOSURE_CAP, GAIN_MAX_DB, GAIN_MIN_DB, PROTECTION
 from device.rig.parameters import LEAST_TOLERANCE, MODELS, Model
@@ -33,8 +26,6 @@ Channels = Literal["mono", "each"]
 
 AUTO = "auto"  # as a value of `offset_ms`: the daemon finds the delay
 OFFSET_MIN_MS, OFFSET_MAX_MS = -1e3 * MAX_DELAY_S, 1_000.0  # an offset below 0 delays the sound
-# Lowest value of the setting. A device whose lowest volume is higher uses its own lowest volume.
-DEVICE_VOLUME_MIN_DB = -96.0
 BLOCK_FRAMES = (128, 256, 512, 1024)  # fewer frames per callback reduce latency and cost CPU time
 ENGINES = ("auto", "native", "python")  # engines that compute live vibration
 
@@ -95,7 +86,7 @@ class Settings(Described):
     ] = None
     parameters: TransformParameters = OF_PROFILE
     said: tuple[str, ...] = ()
-    actuators: tuple[ActuatorSettings, ...] = ()
+    actuators: tuple[drive.ActuatorSettings, ...] = ()
 
     def __post_init__(self) -> None:
         if self.parameters is OF_PROFILE:
@@ -111,7 +102,7 @@ class Settings(Described):
             if one.rig is not None and (refusal := cls.DESCRIPTIONS["rig"].refuse(one.rig)):
                 wrong = f"= {one.rig!r} {refusal.wrong}"
                 found[f"actuator[{number}].rig"] = replace(refusal, wrong=wrong)
-        wiring = wiring_refusals(wiring_of(actuators))
+        wiring = drive.wiring_refusals(drive.wiring_of(actuators))
         return found | {f"actuator[{number}]": refusal for number, refusal in wiring.items()}
 
     @classmethod
@@ -137,7 +128,12 @@ class Settings(Described):
         becomes "rig" if all actuators share one rig, damping, protection and exposure cap, and one
         of these is not the default. UsageError: the rig file cannot be read.
         """
-        chosen, driven = self.parameters, self._driven
+        names = ("rig", "damping", "protection", "exposure_cap")
+        driven = {
+            tuple(getattr(one, name, None) or getattr(self, name) for name in names)
+            for one in self.actuators or (self,)
+        }
+        chosen = self.parameters
         of_profile = PROFILES[self.profile].get("strength")
         if of_profile and chosen.strength == of_profile.value and "strength" not in self.said:
             unset = {(SHIPPED[0], DAMPING[0], PROTECTION[0], EXPOSURE_CAP[0])}
@@ -150,28 +146,19 @@ class Settings(Described):
         return replace(chosen, resonance_hz=hz, resonance_q=q, resonance_gain_db=gain_db)
 
     @property
-    def _driven(self) -> set[tuple[str, ...]]:
-        own = (self.rig, self.damping, self.protection, self.exposure_cap)
-        names = ("rig", "damping", "protection", "exposure_cap")
-        return {
-            tuple(getattr(one, name, None) or mine for name, mine in zip(names, own, strict=True))
-            for one in self.actuators
-        } or {own}
-
-    @property
     def sources(self) -> tuple[str, ...]:
         """The parts of the sound that actuators play, such as "left"; () without actuators."""
-        return sources_of(self.actuators)
+        return drive.sources_of(self.actuators)
 
     @property
-    def numbered_channels(self) -> ChannelMap:
+    def numbered_channels(self) -> drive.ChannelMap:
         """The actuators' channels on a device without channel names.
 
         UsageError: an actuator's channel is given by its name.
         """
-        wiring = wiring_of(self.actuators)
-        return ChannelMap.of(
-            wiring, channels_needed(wiring), device="a file, a card itself or the twin"
+        wiring = drive.wiring_of(self.actuators)
+        return drive.ChannelMap.of(
+            wiring, drive.channels_needed(wiring), device="a file, a card itself or the twin"
         )
 
 
@@ -222,7 +209,7 @@ class LiveSettings(Described):
         float | None,
         Number(
             "set the device's own volume; default: keep it",
-            DEVICE_VOLUME_MIN_DB,
+            -96.0,  # a device whose lowest volume is higher uses its own
             0.0,
             "dB",
             word=OFF,

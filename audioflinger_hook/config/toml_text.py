@@ -1,15 +1,19 @@
 """The text of a config file: parsing, syntax errors, and the line numbers of keys."""
 
+import json
 import re
 import tomllib
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
 from device.errors import UsageError
 from device.values import Refusal
 
+DOTS_MAX = 200  # in a line
 SYNTAX_ERRORS_MAX, CONFIG_BYTES_MAX, SHOWN_MAX = 50, 1 << 20, 200
+LISTED_MAX, LISTED_BYTES = 50, 18_000  # of mistakes; the others are counted
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,15 @@ class Mistake:
         where = f"line {self.line}: " if self.line else ""
         value = f" = {self.value}" if self.value else ""
         return f"{where}{self.key}{value} {Refusal(self.problem, self.allowed, self.nearest)}"
+
+
+def listed(mistakes: list[Mistake]) -> list[Mistake]:
+    """Return the first mistakes, and one that counts the others."""
+    sizes = accumulate(len(json.dumps(asdict(one), indent=2)) for one in mistakes[:LISTED_MAX])
+    count = sum(size <= LISTED_BYTES for size in sizes)
+    left = len(mistakes) - count
+    more = [Mistake("this file", 0, "", f"has {left} more mistakes", "none")] if left else []
+    return mistakes[:count] + more
 
 
 def text_of(path: Path, *, or_empty: bool = False) -> str:
@@ -60,6 +73,9 @@ def parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
     """
     lines = text.split("\n")
     mistakes: list[Mistake] = []
+    if any(line.count(".") > DOTS_MAX and line.lstrip()[:1] != "#" for line in lines):
+        # The parser's time grows with the square of the number of parts of a key.
+        return {}, [Mistake("this file", 0, "", "is nested too deeply", "flat values")]
     for _ in range(SYNTAX_ERRORS_MAX):
         try:
             return tomllib.loads("\n".join(lines)), mistakes
@@ -103,7 +119,7 @@ def lines_of_keys(text: str) -> dict[str, int]:
     section = ""
     tables: dict[str, int] = {}
     for number, line in enumerate(text.split("\n"), 1):
-        if header := re.match(r"\s*\[+\s*([^\]]+?)\s*\]*\s*(#.*)?$", line):
+        if header := re.match(r"\s*\[+([^\]]+)\]*\s*(#.*)?$", line):
             name = _bare(header[1])
             lines.setdefault(name, number)
             if line.lstrip().startswith("[["):
@@ -111,8 +127,8 @@ def lines_of_keys(text: str) -> dict[str, int]:
                 name = f"{name}[{tables[name]}]"
                 lines.setdefault(name, number)
             section = name + "."
-        elif key := re.match(r"\s*([^=#]+?)\s*=", line):
-            name = section + _bare(key[1])
+        elif key := re.match(r"[^=#]+(?==)", line):
+            name = section + _bare(key[0])
             lines.setdefault(name, number)
             lines.setdefault(name.partition(".")[0], number)
     return lines

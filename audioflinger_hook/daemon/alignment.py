@@ -15,8 +15,6 @@ from device.clock.delay_control import PLAYING
 from device.server import PulseConnection
 from device.server.snapshot import Source
 
-NOTHING = Declared()
-
 
 class Alignment:
     """Follows the pair of sinks and their delays while the daemon runs. For the main thread.
@@ -67,8 +65,7 @@ class Alignment:
     ) -> None:
         """Find the offset and apply it. LostError: the connection to the server is lost.
 
-        stream_latencies_s: latencies of tap and output with the Python engine. runs: whether the
-        daemon is running, not idle.
+        stream_latencies_s: of tap and output with the Python engine. runs: the daemon is not idle.
         """
         pair = self._pair_of(source, device)
         if pair != self._pair:
@@ -87,11 +84,10 @@ class Alignment:
             self._seen = None
             self._declared.close()
         elif own_s is not None and (plays or self._seen is None):  # idle sinks may declare nothing
-            forwards = self._config.live.drop_in
             self._seen = self._declared.read(
-                pair, connection, watch, cycle, now_s, forwards=forwards
+                pair, connection, watch, cycle, now_s, forwards=self._config.live.drop_in
             )
-        self.offset.update(pair, self._seen or NOTHING, own_s, now_s)
+        self.offset.update(pair, self._seen or Declared(), own_s, now_s)
         self._engines.set_offset(self.offset.vibration_s)
         self._drop_in.set_delay(self.offset.sound_s)
 

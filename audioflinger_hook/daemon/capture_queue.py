@@ -36,14 +36,12 @@ def undone_db(volume_db: float, server: str) -> float:
 class SoundGain:
     """Multiplies samples by the gain `wanted`. A change of the gain extends over one buffer.
 
-    At a gain above 1, samples are limited to full scale, because the gain may still compensate
-    an earlier, lower volume. Only one thread may call `apply` at a time. Any thread may set
-    `wanted`.
+    At a gain above 1, samples are limited to full scale, because the gain may still compensate an
+    earlier, lower volume. Only one thread may call `apply` at a time. Any thread may set `wanted`.
     """
 
     def __init__(self) -> None:
-        self.wanted = 1.0
-        self._reached = 1.0
+        self.wanted = self._reached = 1.0
 
     def apply(self, frames: Float32Array) -> Float32Array:
         """Return the samples times the gain. For a constant gain of 1, return `frames` itself."""

@@ -34,8 +34,6 @@ class Clocks:
     slept_s: Callable[[], float] = float
 
 
-CAPACITY_S = 3.0  # length of the delay line, which suffices for an offset of 2 s
-
 # Called with (mixed sound, vibration before the drive, time in s) of one cycle.
 OnStep = Callable[[Float32Array, Float32Array, float], None]
 # Called with (mixed sound before all effects, time in s).
@@ -73,12 +71,9 @@ class Engine:
         on_step: OnStep | None = None,
         on_mix: OnMix | None = None,
     ) -> None:
-        self._client = client
-        self._clocks = clocks
-        self._on_step = on_step
+        self._client, self._clocks, self._on_step = client, clocks, on_step
         self.block_frames = block_frames
-        self.samplerate = client.samplerate
-        self.channels = client.channels
+        self.samplerate, self.channels = client.samplerate, client.channels
         self.framework = Framework(
             self.samplerate,
             self.channels,
@@ -99,8 +94,7 @@ class Engine:
         self.mute = SoftFade(output_samplerate)
         self.live: LiveMemory | None = None
         self.filled_s = -math.inf
-        self.faded = True
-        self.last_sound_s = now_s
+        self.faded, self.last_sound_s = True, now_s
         self._drive_output = _DriveOutput(self)
         self._chain = Pipeline(client, self.framework, [self._drive_output])
         if on_mix is not None:
@@ -113,7 +107,7 @@ class Engine:
             self.drive.outputs,
             self.samplerate,
             samplerate,
-            capacity_s=CAPACITY_S,
+            capacity_s=3.0,  # suffices for an offset of 2 s
             capture_block=self.block_frames,
             output_block=self.block_frames,
             offset_s=offset_s,
@@ -126,8 +120,7 @@ class Engine:
         During this call, `fill` must not run, nor `advance` if the block length changes.
         """
         blocks = block_frames or self.block_frames
-        rate = round(self.delay_line.samplerate_out)
-        if (samplerate, blocks) != (rate, self.block_frames):
+        if (samplerate, blocks) != (round(self.delay_line.samplerate_out), self.block_frames):
             self.block_frames = blocks
             self.delay_line = self._line(samplerate, self.delay_line.offset_s)
             self._drop_ahead()
@@ -205,27 +198,23 @@ class Engine:
         self.filled_s = now_s
         frames = len(out)
         if self._end - self._start < frames:
-            self._read_on(frames, now_s)
+            kept, line = self.read_ahead, self.delay_line
+            held = len(kept)
+            self.before_fill()
+            blocks = (line.readable - (frames - held)) // frames
+            ahead = frames * max(0, min(READ_BLOCKS - 1, blocks))
+            needed = frames + ahead
+            if len(self._read) < needed:
+                self._read = np.zeros((frames * READ_BLOCKS, kept.shape[1]), np.float32)
+            self._read[:held] = kept
+            playing_s = now_s + held / line.samplerate_out
+            read = line.read(self._read[held:needed], playing_s, ahead)
+            self._start, self._end = 0, held + read
         start = self._start
         self._start = min(start + frames, self._end)
         out[:] = self._read[start : self._start]
         if not (self.mute.audible and self.mute.position == 1.0):
             self.mute.apply(out)
-
-    def _read_on(self, frames: int, now_s: float) -> None:
-        """Read the delay line until `read_ahead` has `frames` frames; read more if available."""
-        kept, line = self.read_ahead, self.delay_line
-        held = len(kept)
-        self.before_fill()
-        blocks = (line.readable - (frames - held)) // frames
-        ahead = frames * max(0, min(READ_BLOCKS - 1, blocks))
-        needed = frames + ahead
-        if len(self._read) < needed:
-            self._read = np.zeros((frames * READ_BLOCKS, kept.shape[1]), np.float32)
-        self._read[:held] = kept
-        playing_s = now_s + held / line.samplerate_out
-        read = line.read(self._read[held:needed], playing_s, ahead)
-        self._start, self._end = 0, held + read
 
     def _drop_ahead(self) -> None:
         self._start = self._end = 0
@@ -267,8 +256,7 @@ class _DriveOutput:
         self.now_s = 0.0
         self.earlier: Sequence[tuple[float, int]] = ()
         self.held: list[Float32Array] | None = None
-        self.samplerate = engine.samplerate
-        self.channels = engine.framework.haptic_channels
+        self.samplerate, self.channels = engine.samplerate, engine.framework.haptic_channels
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
         engine = self._engine

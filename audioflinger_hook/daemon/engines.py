@@ -51,11 +51,9 @@ class Engines:
         safety: SafetyKeeper | None,
     ) -> None:
         library()
-        self._config = config
+        self._config, self._folder = config, folder
+        self._clocks, self._endpoints = clocks, endpoints
         self.safety = safety or SafetyKeeper()
-        self._clocks = clocks
-        self._endpoints = endpoints
-        self._folder = folder
         self._ends_s: float | None = None
         self._follows_native = False
         self._chosen_for: tuple[object, ...] = ()
@@ -123,7 +121,7 @@ class Engines:
         native = self.native.engine
         if self.python is not None:
             return self.python.drive.processors
-        return native.chain.rigs if native is not None and native.chain is not None else ()
+        return native.chain.design.rigs if native is not None and native.chain is not None else ()
 
     def _restore(self, rigs: Sequence[DrivenRig | None], first: bool) -> None:
         """Give new rigs the recorded states (only if `first`), then the playing rigs' states."""
@@ -177,8 +175,7 @@ class Engines:
         self, connection: PulseConnection | None, source: AudioNode, device: AudioNode, now_s: float
     ) -> bool:
         """Choose an engine and end the other; return whether the Python engine must not play."""
-        seen = connection.latest if connection else None
-        self._undo_volume(seen)
+        self._undo_volume(connection.latest if connection else None)
         self._choose(connection, source)
         if not self._other_has_ended(now_s):
             return True

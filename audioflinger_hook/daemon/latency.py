@@ -23,7 +23,7 @@ def parts_of_native(native: NativeEngine, chain: Chain) -> dict[str, float]:
     Tap and device run in the same cycle of the graph, so they have no delay line.
     """
     plan, page = chain.plan, chain.page
-    latency_frames = max((rig.latency_frames for rig in chain.rigs if rig), default=0)
+    latency_frames = max((rig.latency_frames for rig in chain.design.rigs if rig), default=0)
     # If the sink drives the graph, its monitor provides sound one cycle late.
     is_late = native.monitor_reason and page.samplerate
     return {

@@ -23,8 +23,7 @@ class LiveCapture:
     """
 
     def __init__(self, address: TapAddress, wake: Wake, now_s: float) -> None:
-        self.heard_s = 0.0
-        self.format = (0, 0)
+        self.heard_s, self.format = 0.0, (0, 0)
         self._tap = PushTap(0, 0)
         self._recorder: CaptureRecorder | None = None
         self._pcms = PcmConfig("cushion_tap")

@@ -1,6 +1,7 @@
 """Carries out requests that live pages send to a running daemon, in order of arrival.
 
-Values are checked like values of the config file. A request has one of these forms:
+At most one request is carried out per PAUSE_S. If a setting gets several values meanwhile, the last
+value wins. Values are checked like values of the config file. A request has one of these forms:
 
     "set": {"gain_db": -6.0}                   change keys of the config; null sets the default
     "application": {"match": "mpv", "feel": false}    change its rule; null removes a value
@@ -15,11 +16,13 @@ The answer is `{"done": true}` or `{"error": message}`. If a value is refused,
 the answer also has the key of this value as `"key"`.
 """
 
+import json
+import math
+import re
 import subprocess
 import threading
-from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 from audioflinger_hook.config.allowed_now import allowed_now
@@ -32,23 +35,17 @@ from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.service.install import own_command
 from audioflinger_hook.service.one_line import one_line
+from audioflinger_hook.service.request_queue import RequestQueue
 from device.errors import CushionError, UsageError
 from device.units import db_to_amplitude
 from device.values import Described
 
-WAITING_MAX = 16  # largest number of waiting requests
+PAUSE_S = 0.1  # from one request that is carried out to the next
 ANSWER_S = 3.0  # longest wait for an answer
 KEYS_MAX = 16  # largest number of keys in one `set` request
+ENVELOPE = ("ask", "protocol")  # keys of a request beside the change
 TONE_S = 20.0  # the test tone ends after this time, in case its page was closed
 TONE_END_S = 2.0  # longest wait for the end of the tone's process; the fade-out takes 0.1 s
-
-
-@dataclass(eq=False)
-class _Request:
-    asked: dict[str, Any]
-    done: threading.Event = field(default_factory=threading.Event)
-    answer: dict[str, Any] = field(default_factory=dict)
-    expired: bool = False
 
 
 class LiveControl:
@@ -74,8 +71,8 @@ class LiveControl:
         self.page = ""
         self.settings: dict[str, Any] = {}
         self._tone: subprocess.Popen[bytes] | None = None
-        self._waiting: deque[_Request] = deque()
-        self._lock = threading.Lock()
+        self._waiting = RequestQueue()
+        self._due_s = -math.inf
         self._tell()
 
     def frame(self, missed: int, *, in_memory: bool) -> tuple[bytes, bool]:
@@ -90,24 +87,30 @@ class LiveControl:
 
     def control(self, request: dict[str, Any]) -> dict[str, Any]:
         """Let the main thread carry out a request; return the answer."""
-        waiting = _Request(request)
-        with self._lock:
-            if len(self._waiting) >= WAITING_MAX:
-                return {"error": "the daemon has too many requests to carry out; try again"}
-            self._waiting.append(waiting)
-        self._ring()
-        if not waiting.done.wait(ANSWER_S):
-            waiting.expired = True
-            return {"error": f"the daemon has not answered within {ANSWER_S:g} s; try again"}
-        return waiting.answer
+        done, answers = threading.Event(), list[dict[str, Any]]()
 
-    def work(self) -> None:
-        """Carry out waiting requests, and detect the end of the test tone's process."""
-        while self._waiting:
-            request = self._waiting.popleft()
-            if not request.expired:
-                request.answer = self._carry_out(request.asked)
-                request.done.set()
+        def answer(given: dict[str, Any]) -> None:
+            answers.append(given)
+            done.set()
+
+        asked = {name: value for name, value in request.items() if name not in ENVELOPE}
+        if self._waiting.put(asked, answer):  # else the main thread has been woken
+            self._ring()
+        if not done.wait(ANSWER_S):
+            self._waiting.drop(answer)
+            return {"error": f"the daemon has not answered within {ANSWER_S:g} s; try again"}
+        return answers[0]
+
+    def rest_s(self, now_s: float) -> float:
+        """Return the time until `work` can carry out the next waiting request; inf for none."""
+        return max(0.0, self._due_s - now_s) if len(self._waiting) else math.inf
+
+    def work(self, now_s: float) -> None:
+        """Carry out a waiting request, if it is due. Detect the end of the test tone's process."""
+        if now_s >= self._due_s and (waiting := self._waiting.take()):
+            asked, answer = waiting
+            self._due_s = now_s + PAUSE_S
+            answer(self._carry_out(asked))
         if self._tone is not None and self._tone.poll() is not None:
             self._tone = None
             self._tell()
@@ -128,7 +131,7 @@ class LiveControl:
                 self._tone.wait()
             self._tone = None
 
-    def _carry_out(self, asked: dict[str, Any]) -> dict[str, Any]:
+    def _carry_out(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         actions: dict[str, Callable[[Any], None]] = {
             "set": self._set,
             "application": self._rule,
@@ -138,11 +141,15 @@ class LiveControl:
             "undo": lambda _: self._undo(),
             "save": lambda _: self._edits.save(),
         }
-        chosen = [name for name in asked if name in actions]
         try:
-            if len(chosen) != 1:
-                raise UsageError(f"give exactly one of {', '.join(actions)}")
-            actions[chosen[0]](asked[chosen[0]])
+            if len(asked) != 1 or not asked.keys() <= actions.keys():
+                raise UsageError(f"give exactly one of {', '.join(actions)}, and nothing else")
+            ((name, value),) = asked.items()
+            if re.search("[\ud800-\udfff]", json.dumps(value, ensure_ascii=False)):
+                raise UsageError(f"{name} has text that is not Unicode")
+            if name in ("undo", "save") and value is not True:
+                raise UsageError(f"{name} takes true")
+            actions[name](value)
         except _Refused as error:
             return {"error": str(error), "key": error.key}
         except CushionError as error:
@@ -205,11 +212,12 @@ class LiveControl:
         self._config = self._follow(edits, muted)
 
     def _play_tone(self, wanted: object) -> None:
-        if wanted is None or wanted is False:
+        if wanted is None:
             self.close()
             return
-        chosen = wanted if isinstance(wanted, dict) else {}
-        hz, level = chosen.get("hz", 60.0), chosen.get("level", 0.2)
+        if not isinstance(wanted, dict) or not wanted.keys() <= {"hz", "level"}:
+            raise _Refused("tone", 'tone takes {"hz": HZ} with or without level, or null')
+        hz, level = wanted.get("hz", 60.0), wanted.get("level", 0.2)
         if type(hz) not in (int, float) or not 20.0 <= hz <= 220.0:
             problem = f"{one_line(str(hz), 60)} is out of range; allowed: 20 to 220 Hz"
             raise _Refused("tone", problem)
@@ -245,10 +253,11 @@ class LiveControl:
     def _tell(self) -> None:
         """Set `settings` to a new object, by which the status server detects the change."""
         config, filed = self._config, self._edits.unsaved()
+        owners = {Settings: config.settings, LiveSettings: config.live}
         self._level = 0.0 if config.muted else db_to_amplitude(config.settings.gain_db)
         self.settings = {
             "keys": [
-                _shown(name, key, self._owner_of(key))
+                _shown(name, key, owners.get(key.owner, config.settings.parameters))
                 | {"unsaved": name in filed, "file": filed.get(name)}
                 for name, key in EDITABLE.items()
             ],
@@ -260,10 +269,6 @@ class LiveControl:
             "tone": self._tone is not None,
             "recording": config.recording is not None,
         }
-
-    def _owner_of(self, key: Key) -> Described:
-        owners = {Settings: self._config.settings, LiveSettings: self._config.live}
-        return owners.get(key.owner, self._config.settings.parameters)
 
 
 class _Refused(UsageError):

@@ -29,8 +29,7 @@ class LiveMemory:
     def __init__(self, folder: Path, samplerate: int, channels: int, actuators: int) -> None:
         for left_over in folder.glob(f"{NAME}-*.page"):  # left by a killed daemon
             left_over.unlink(missing_ok=True)
-        path = folder / f"{NAME}-{next(_numbers)}.page"
-        self.page = Page(path, channels, 1, [0] * actuators)
+        self.page = Page(folder / f"{NAME}-{next(_numbers)}.page", channels, 1, [0] * actuators)
         self._least_frames = round(samplerate / WRITES_PER_S)
         self._writes_left = self._due_frames = 0
 

@@ -47,8 +47,7 @@ class Pacer:
     """
 
     def __init__(self, now_s: Callable[[], float], *, exact: bool = False) -> None:
-        self._now_s = now_s
-        self._exact = exact
+        self._now_s, self._exact = now_s, exact
         self._jobs: dict[PacedJob, float] = {}  # start time of each job
         self._lock = threading.Lock()
         self._changed = threading.Event()
@@ -96,19 +95,15 @@ class Pacer:
                     for shifted in self._jobs:
                         self._jobs[shifted] += now_s - due_s
                     due_s = now_s
-                self._do(job, due_s if self._exact else now_s)
+                try:
+                    goes_on = job.run(due_s if self._exact else now_s)
+                except Exception as error:
+                    job.error, goes_on = error, False
+                if not goes_on:
+                    del self._jobs[job]
         return BREATH_S
-
-    def _do(self, job: PacedJob, now_s: float) -> None:
-        try:
-            goes_on = job.run(now_s)
-        except Exception as error:
-            job.error, goes_on = error, False
-        if not goes_on:
-            del self._jobs[job]
 
     def _keep_pace(self) -> None:
         while not self._closed:
-            wait_s = self.step(self._now_s())
-            self._changed.wait(min(wait_s, 1.0))
+            self._changed.wait(min(self.step(self._now_s()), 1.0))
             self._changed.clear()

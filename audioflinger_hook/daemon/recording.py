@@ -140,8 +140,7 @@ class RunRecording(AbstractContextManager["RunRecording"]):
         if not self._begun and self._mix not in (None, (samplerate, frames.shape[1])):
             # A replay mixes in the format of the first buffer, so an empty buffer sets the format.
             mix_samplerate, mix_channels = self._mix or (samplerate, 1)
-            nothing = np.zeros((0, mix_channels), np.float32)
-            recorder.offer("tap", nothing, mix_samplerate, now_s)
+            recorder.offer("tap", np.zeros((0, mix_channels), np.float32), mix_samplerate, now_s)
         self._begun = True
         self._broken["effect"] = self._broken["effect"] or discontinuity
         recorder.offer("tap", frames, samplerate, now_s, discontinuity=discontinuity)

@@ -18,8 +18,7 @@ class ServerLink(Listener):
 
     def __init__(self, ring: Callable[[], None], *, fallback: bool = True) -> None:
         self.connection: PulseConnection | None = None
-        self._ring = ring
-        self._has_fallback = fallback
+        self._ring, self._has_fallback = ring, fallback
         self._fallback: FallbackSink | None = None
         self._backoff = Backoff()
 

@@ -89,7 +89,7 @@ def _of_native(native: NativeEngine, chain: Chain, supervisor: Supervisor) -> di
     settings, resting = supervisor.config.settings, supervisor.states.state is DaemonState.IDLE
     page = chain.page
     # While the daemon is idle, the plugin may be suspended, and its levels may be outdated.
-    actuators = range(min(len(settings.actuators), len(chain.rigs)))
+    actuators = range(min(len(settings.actuators), len(chain.design.rigs)))
     levels = [Level() if resting else page.level(slot) for slot in actuators]
     channels = tuple(level_of(*reading) for reading in page.channel_readings())
     return {
@@ -111,7 +111,7 @@ def _of_native(native: NativeEngine, chain: Chain, supervisor: Supervisor) -> di
         "replaced_samples": page.readings.replaced,
         "engine": "native",
         "engine_reason": "",
-        **_of_rigs(chain.rigs, levels, settings, supervisor),
+        **_of_rigs(chain.design.rigs, levels, settings, supervisor),
     }
 
 

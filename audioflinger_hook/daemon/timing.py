@@ -9,6 +9,15 @@ from audioflinger_hook.service.state import Cause, StateKeeper
 
 FIRST_S, LONGEST_S = 0.05, 0.5  # first and, by default, longest wait between attempts
 
+STALLED_S = 1.0  # lateness of a tick that counts as a stall of the process
+SLEPT_S = 0.5  # shortest suspend that counts
+
+QUIET_S = 5.0  # silence before the idle state if no stream plays
+# Silence before the idle state while a stream plays. No event announces the stream's next sound,
+# and the beginning of this sound is lost.
+SILENT_S = 10.0
+AWAKE_S = 8.0  # shortest time between idle states, because streams may open before they play
+
 
 class Backoff:
     """Computes waits between attempts: FIRST_S, doubled by each failure, at most `longest_s`."""
@@ -38,17 +47,11 @@ class Backoff:
         return min(self._longest_s, max(0.0, self._due_s - now_s))
 
 
-STALLED_S = 1.0  # lateness of a tick that counts as a stall of the process
-SLEPT_S = 0.5  # shortest suspend that counts
-
-
 class StallDetector:
     """Counts stalls of the process and suspends of the machine between ticks."""
 
     def __init__(self, states: StateKeeper, slept_s: Callable[[], float]) -> None:
-        self._states = states
-        self._slept = slept_s
-        self._slept_s = slept_s()
+        self._states, self._slept, self._slept_s = states, slept_s, slept_s()
         self._ticked_s: float | None = None
         self._resyncs = 0
 
@@ -72,19 +75,11 @@ class StallDetector:
         self._resyncs = resyncs
 
 
-QUIET_S = 5.0  # silence before the idle state if no stream plays
-# Silence before the idle state while a stream plays. No event announces the stream's next sound,
-# and the beginning of this sound is lost.
-SILENT_S = 10.0
-AWAKE_S = 8.0  # shortest time between idle states, because streams may open before they play
-
-
 class IdlePolicy:
     """Decides when streams are closed during silence. resting: whether to close them."""
 
     def __init__(self, now_s: float) -> None:
-        self.resting = False
-        self._woke_s = now_s
+        self.resting, self._woke_s = False, now_s
         self._players: frozenset[int] = frozenset()
 
     def update(
@@ -97,16 +92,14 @@ class IdlePolicy:
         came = bool(players - self._players)
         self._players = players
         if came or (self.resting and heard):
-            self.resting = False
-            self._woke_s = now_s
+            self.wake(now_s)
         elif not self.resting and now_s - self._woke_s > AWAKE_S:
             self.resting = now_s - last_sound_s > (SILENT_S if players else QUIET_S)
         return self.resting
 
     def wake(self, now_s: float) -> None:
         """End the idle state after a change that concerns the streams."""
-        self.resting = False
-        self._woke_s = now_s
+        self.resting, self._woke_s = False, now_s
 
 
 class Wake(AbstractContextManager["Wake"]):

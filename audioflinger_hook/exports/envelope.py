@@ -1,12 +1,12 @@
 """Approximates curves with straight lines, and a vibration with an envelope and transients."""
 
-import heapq
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import solveh_banded
 
 from audioflinger_hook.exports.glides import Onset, VibrationCurve
 from device.units import FloatArray, amplitude_to_db
@@ -15,7 +15,12 @@ TIED = 1e-3  # weight in `fitted` of the curve's value at a knot; a sample has w
 
 
 def simplify(
-    times: FloatArray, values: FloatArray, tolerance: FloatArray, spacing: int, longest: int
+    times: FloatArray,
+    values: FloatArray,
+    tolerance: FloatArray,
+    spacing: int,
+    longest: int,
+    sizes: Sequence[int] | None = None,
 ) -> NDArray[np.intp]:
     """Return ascending indices of the points to keep, including the first and the last point.
 
@@ -27,38 +32,44 @@ def simplify(
     tolerance: (n, k) largest allowed error at each point.
     spacing: smallest allowed difference of consecutive kept indices, except the last difference.
     longest: largest allowed difference of consecutive kept indices.
+    sizes: numbers of points of successive curves, each with its own first and last point; None: the
+        points are of one curve.
     """
-    last = len(values) - 1
-    if last < 1:
-        return np.arange(len(values))
-    edges = [*range(0, last, longest), last]
-    if len(edges) > 2 and edges[-1] - edges[-2] < spacing:
-        edges.pop(-2)
-        if last - edges[-2] > longest:  # two points may be at most `longest` apart
-            edges.insert(-1, last - spacing)
-    kept = set(edges)
-    waiting: list[tuple[float, int, int, int]] = []
-
-    def consider(first: int, end: int) -> None:
-        low, high = first + spacing, end - spacing
-        if low > high:
-            return
-        part = slice(low, high + 1)
-        share = ((times[part] - times[first]) / (times[end] - times[first]))[:, None]
-        line = values[first] + share * (values[end] - values[first])
-        error = (np.abs(values[part] - line) / tolerance[part]).max(axis=1)
-        worst = int(error.argmax())
-        if error[worst] > 1.0:
-            heapq.heappush(waiting, (-float(error[worst]), first, low + worst, end))
-
-    for first, end in pairwise(edges):
-        consider(first, end)
-    while waiting:
-        _, first, place, end = heapq.heappop(waiting)
-        kept.add(place)
-        consider(first, place)
-        consider(place, end)
-    return np.array(sorted(kept), dtype=np.intp)
+    begins = np.cumsum([0, *(sizes or [len(values)])])
+    curves = list(zip(values.T.copy(), tolerance.T.copy(), strict=True))
+    kept = np.zeros(len(values), dtype=np.bool_)
+    lines: list[tuple[int, int]] = []
+    for begin, end in pairwise(begins.tolist()):
+        last = end - 1
+        edges = [*range(begin, last, longest), last]
+        if len(edges) > 2 and edges[-1] - edges[-2] < spacing:
+            edges.pop(-2)
+            if last - edges[-2] > longest:  # two points may be at most `longest` apart
+                edges.insert(-1, last - spacing)
+        kept[edges] = True
+        lines += pairwise(edges)
+    first, end = np.array(lines, np.intp).reshape(-1, 2).T
+    while True:
+        wide = end - first >= 2 * spacing
+        first, end = first[wide], end[wide]
+        if not first.size:
+            return np.flatnonzero(kept)
+        # The points where each line may be split, of all lines in a row.
+        count = end - first - 2 * spacing + 1
+        begin = np.cumsum(count) - count
+        place = np.arange(count.sum()) + np.repeat(first + spacing - begin, count)
+        since = times[place] - np.repeat(times[first], count)
+        error = np.zeros(place.size)
+        for value, allowed in curves:
+            slope = (value[end] - value[first]) / (times[end] - times[first])
+            drawn = np.repeat(value[first], count) + np.repeat(slope, count) * since
+            np.maximum(error, np.abs(value[place] - drawn) / allowed[place], out=error)
+        largest = np.maximum.reduceat(error, begin)
+        split = largest > 1.0
+        worst = np.flatnonzero(error == np.repeat(np.where(split, largest, np.nan), count))
+        middle = place[worst[np.searchsorted(worst, begin[split])]]
+        kept[middle] = True
+        first, end = np.append(first[split], middle), np.append(middle, end[split])
 
 
 def fitted(times: FloatArray, values: FloatArray, knots: FloatArray) -> FloatArray:
@@ -74,7 +85,9 @@ def fitted(times: FloatArray, values: FloatArray, knots: FloatArray) -> FloatArr
     wanted += np.bincount(place + 1, share * values, size)
     # The curve's values at the knots have a small weight, so that knots without samples get values.
     bands = np.vstack((np.concatenate(([0.0], beside[:-1])), diagonal + TIED))
-    found: FloatArray = solveh_banded(bands, wanted + TIED * np.interp(knots, times, values))
+    found: FloatArray = scipy.linalg.solveh_banded(
+        bands, wanted + TIED * np.interp(knots, times, values)
+    )
     return found
 
 
@@ -205,9 +218,16 @@ def envelope_error(curve: VibrationCurve, amplitude: FloatArray) -> dict[str, fl
 
 
 def smoothed(curve: VibrationCurve) -> FloatArray:
-    """Return the curve's amplitude, smoothed. The smoothing does not extend across onsets."""
-    parts = [curve.amplitude[first:end] for first, end in pairwise(_edges(curve))]
-    return np.concatenate([_smoothed(part.astype(np.float64), curve.rate_hz) for part in parts])
+    """Return the amplitude's moving r.m.s. with a Hann window, shorter near onsets and ends."""
+    half = max(1, round(0.5 * SMOOTHED_S * curve.rate_hz))
+    parts = []
+    for first, end in pairwise(_edges(curve)):
+        square = curve.amplitude[first:end].astype(np.float64) ** 2
+        place = np.arange(square.size)
+        share = np.minimum(1.0, np.minimum(place, place[::-1]) / half)
+        whole, short = _mean(square, half), _mean(square, max(1, half // 3))
+        parts.append(np.sqrt(share * whole + (1.0 - share) * short))
+    return np.concatenate(parts)
 
 
 def _edges(curve: VibrationCurve) -> list[int]:
@@ -242,16 +262,6 @@ def _errors(
         off_hz = np.interp(times, time_s, hz) - curve.hz
         found["frequency_error_hz"] = float(np.sqrt((power * off_hz**2).sum() / power.sum()))
     return found
-
-
-def _smoothed(amplitude: FloatArray, rate_hz: float) -> FloatArray:
-    """Return the moving r.m.s. with a Hann window, which is shorter near both ends."""
-    half = max(1, round(0.5 * SMOOTHED_S * rate_hz))
-    square = amplitude**2
-    place = np.arange(square.size)
-    share = np.minimum(1.0, np.minimum(place, place[::-1]) / half)
-    whole, short = _mean(square, half), _mean(square, max(1, half // 3))
-    return np.sqrt(share * whole + (1.0 - share) * short)
 
 
 def _mean(square: FloatArray, half: int) -> FloatArray:

@@ -15,6 +15,7 @@ from audioflinger_hook.exports.options import (
     ExportReport,
     check_channel_count,
     format_of,
+    held_rate_hz,
 )
 from audioflinger_hook.exports.parametric import (
     Composed,
@@ -27,10 +28,11 @@ from audioflinger_hook.exports.parametric import (
     refuse_settings,
 )
 from audioflinger_hook.exports.sound_output import (
+    BackgroundOutput,
     LeakMeter,
-    ResampledOutput,
     SoundFileOutput,
     Watch,
+    resampled,
 )
 from audioflinger_hook.offline.render import Progress, render
 from audioflinger_hook.pipeline.framework import Framework
@@ -65,34 +67,38 @@ def export(
     The same sound, settings and options give the same bytes. The client is closed. Any thread may
     call this function.
 
-    options: determine the format; the target's suffix does not. watch: function that is called
-        with each block of vibration, before the sample rate is converted.
+    options: determine the format; the target's suffix does not. watch: receives the vibration
+        before the sample rate is converted.
     Other parameters and errors: see `render`.
     UsageError: also if the format cannot represent the sound or the settings.
     """
     name = options.format
     file: VibrationOutput
     meter: LeakMeter
+    background: BackgroundOutput | None
+    rate: int  # of the file
 
     def open_file(path: Path, samplerate: int, channels: int) -> VibrationOutput:
-        nonlocal file, meter
+        nonlocal file, meter, background, rate
         check_channel_count(name, channels)
-        rate = options.output_rate_hz or samplerate
+        rate = options.output_rate_hz or held_rate_hz(name, samplerate)
         if name in WRITERS:
             file = DescribedOutput(path, samplerate, channels, settings, options, WRITERS[name])
         elif name == "flac":
             file = SoundFileOutput(path, rate, channels, "FLAC", "PCM_24")
         elif name == "ogg-haptic":
-            file = OggHapticOutput(path, rate, client.channels, channels)
+            file = OggHapticOutput(path, samplerate, rate, client.channels, channels)
         else:
             file = WavOutput(path, rate, channels)
-        meter = LeakMeter(file if rate == samplerate else ResampledOutput(file, samplerate), watch)
-        return meter
+        meter = LeakMeter(resampled(file, samplerate), watch)
+        background = BackgroundOutput(meter) if name in ("flac", "ogg-haptic") else None
+        return background or meter
 
     def observe(framework: Framework) -> Callable[[Step], None] | None:
         if isinstance(file, OggHapticOutput):
-            hear = file.hear
-            return lambda step: hear(step.audio)
+            assert background
+            run, hear = background.run, file.hear
+            return lambda step: run(hear, step.audio)
         return file.observe(framework) if isinstance(file, DescribedOutput) else None
 
     with closing(client):
@@ -114,11 +120,13 @@ def export(
         )
     limited = getattr(file, "limited_samples", 0)
     more = [f"{limited} samples beyond full scale were limited"] if limited else []
+    if rate != (options.output_rate_hz or report.samplerate):
+        more.append(f"the format {name} cannot have {report.samplerate} Hz; the file has {rate} Hz")
     composed = file.composed if isinstance(file, DescribedOutput) else Composed()
     return ExportReport(
         format=name,
-        frames=-(-report.frames * file.samplerate // report.samplerate),
-        samplerate=file.samplerate,
+        frames=-(-report.frames * rate // report.samplerate),
+        samplerate=rate,
         channels=report.channels,
         duration_s=report.frames / report.samplerate,
         profile=report.profile,

@@ -7,8 +7,8 @@ numbers describes each glide, and a slot number says to which partial it belongs
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.signal import lfilter, sosfilt
 
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.design.synthesis import glide_shape, glide_turns
@@ -24,7 +24,8 @@ RISE_FROM = 0.4  # smallest rise of an onset, relative to the level after it
 AUDIBLE = 0.01  # smallest rise, relative to the largest level
 
 # Columns of recorded glides; see `GLIDE_COLUMNS`.
-FRAME, FRAMES, CHANNEL, SLOT, START_HZ, END_HZ, START_LEVEL, END_LEVEL, START_PHASE = range(9)
+COLUMNS = 9
+FRAME, FRAMES, CHANNEL, SLOT, START_HZ, END_HZ, START_LEVEL, END_LEVEL, START_PHASE = range(COLUMNS)
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,10 @@ def analytic(
     start = rows[:, START_LEVEL, None]
     angle = hz * turn + bend * glide + 2.0 * np.pi * rows[:, START_PHASE, None]
     level = start + (rows[:, END_LEVEL, None] - start) * shape
-    return level * np.exp(1j * angle), hz + bend * still
+    signal = np.empty(angle.shape, np.complex128)
+    np.multiply(level, np.cos(angle), out=signal.real)
+    np.multiply(level, np.sin(angle), out=signal.imag)
+    return signal, hz + bend * still
 
 
 def low_pass(
@@ -102,8 +106,8 @@ def low_pass(
     """Return the signal after the live form's low-pass and any high-passes, and their new state."""
     made = design.synthesis
     if made.low_sections.size:
-        return sosfilt(np.array(made.low_sections), signal, zi=state)  # type: ignore[no-any-return]
-    smooth, state = lfilter(made.low_b, made.low_a, signal, zi=state)
+        return scipy.signal.sosfilt(np.array(made.low_sections), signal, zi=state)  # type: ignore[no-any-return]
+    smooth, state = scipy.signal.lfilter(made.low_b, made.low_a, signal, zi=state)
     return smooth, state
 
 
@@ -125,9 +129,8 @@ class CurveReader:
 
     def __init__(self, design: LiveDesign, gain: float) -> None:
         self._design, self._gain = design, gain
-        # Columns are samples at the oscillators' low rate, from step `_next` on. The rows are the
-        # analytic signal, the partials' total power, and the sum of each partial's power times
-        # its frequency.
+        # Columns are samples at the oscillators' low rate, from step `_next` on. Rows: analytic
+        # signal, total power of the partials, and sum of each partial's power times its frequency.
         self._sums = np.zeros((3, 0), np.complex128)
         self._next = 0
         self._state = at_rest(design)

@@ -5,6 +5,7 @@ integer in Hz, because some players compute the phase of a varying frequency inc
 phase has drifted by more than 0.03 cycles, a new effect begins. Positions are in ms.
 """
 
+import heapq
 import math
 from typing import Any
 
@@ -20,10 +21,13 @@ TICKS_A_SECOND = 1_000
 LEVEL_1_BANDS, LEVEL_2_BANDS = 7, 63
 DRIFT_TURNS = 0.03
 """Largest phase drift of an effect in cycles. Larger drifts change the beats between partials."""
+EFFECT_TICKS_MAX = 1_000  # longest effect, so that the time of conversion is linear
+PHASE_MAX = 6.28318  # largest phase in radians that the format allows
 
 BODY_PART_UNSPECIFIED = 0
-VERSION = "2024"
-DATE = "2024-01-01"  # constant, so that equal sounds give equal files
+AVATAR, DEVICE = 1, 1  # identifiers of both must be positive
+NO_EFFECTS = b'"effects":[]'
+_Effect = tuple[int, float, int, bytes]  # first tick, phase, last tick, JSON
 
 
 class HjifWriter(TrackWriter):
@@ -31,32 +35,44 @@ class HjifWriter(TrackWriter):
 
     def __init__(self, job: Job) -> None:
         super().__init__(job)
-        self._waves: list[list[dict[str, Any]]] = [[] for _ in range(job.channels)]
+        self._effects: list[list[_Effect]] = [[] for _ in range(job.channels)]
+        self._keyframes = 0
 
-    def take(self, channel: int, track: PartialTrack) -> None:
-        """Convert a partial track to effects, and store them in memory."""
-        self._waves[channel] += effects_of(track)
+    def take(self, tracks: list[tuple[int, PartialTrack]]) -> None:
+        """Convert partial tracks to effects, and store them in memory as JSON."""
+        for channel, track in tracks:
+            for effect in effects_of(track):
+                last = effect["keyframes"][-1]["relative_position"]
+                at, phase = effect["position"], effect["phase"]
+                self._effects[channel].append((at, phase, at + last, json_bytes(effect)))
+                self._keyframes += len(effect["keyframes"])
 
     def write_rest(self, duration_s: float) -> dict[str, int]:
         """Write the file. UsageError: the format has too few bands for simultaneous partials."""
-        bands = [_banded(waves) for waves in self._waves]
-        most = max(len(one) for one in bands)
+        channels = [_banded(effects) for effects in self._effects]
+        most = max(len(bands) for bands in channels)
         if most > LEVEL_2_BANDS:
             raise UsageError(
                 f"{most} partials sound at the same time, but the format hjif has "
                 f"{LEVEL_2_BANDS} bands; set partials_max to 16 or less, or use the format partials"
             )
-        self._job.file.write(json_bytes(self._document(bands, most, duration_s)))
-        keyframes = sum(len(effect["keyframes"]) for waves in self._waves for effect in waves)
-        return {"bands": most, "keyframes": keyframes}
+        # A document without effects, divided where the effects belong.
+        document = json_bytes(self._document([len(bands) for bands in channels], most, duration_s))
+        *parts, end = document.split(NO_EFFECTS)
+        write = self._job.file.write
+        for part, band in zip(parts, [band for bands in channels for band in bands], strict=True):
+            write(part + NO_EFFECTS[:-1])
+            for number, (_, _, _, effect) in enumerate(band):
+                write(b"," * bool(number) + effect)
+            write(b"]")
+        write(end)
+        return {"bands": most, "keyframes": self._keyframes}
 
-    def _document(
-        self, bands: list[list[list[dict[str, Any]]]], most: int, duration_s: float
-    ) -> dict[str, Any]:
+    def _document(self, bands: list[int], most: int, duration_s: float) -> dict[str, Any]:
         low_hz, high_hz = self._band_hz or (VIBRATION_LOW_HZ, VIBRATION_HIGH_HZ)
         rig = rig_by_name(self._job.settings.rig)
         device = {  # that the file is for
-            "id": 0,
+            "id": DEVICE,
             "name": "device" if self._band_hz else rig.name,
             "body_part_mask": BODY_PART_UNSPECIFIED,
             "minimum_frequency": low_hz,
@@ -73,18 +89,16 @@ class HjifWriter(TrackWriter):
                 "id": number,
                 "description": f"channel {number + 1}",
                 "gain": 1.0,
-                "mixing_weight": 1.0,
+                "mixing_coefficient": 1.0,
                 "body_part_mask": BODY_PART_UNSPECIFIED,
-                "reference_device_id": 0,
-                "bands": [
-                    {"band_type": "VectorialWave", **limits, "effects": effects} for effects in mine
-                ],
+                "reference_device_id": DEVICE,
+                "bands": [{"band_type": "VectorialWave", **limits, "effects": []}] * count,
             }
-            for number, mine in enumerate(bands)
+            for number, count in enumerate(bands)
         ]
         perception = {
             "id": 0,
-            "avatar_id": 0,
+            "avatar_id": AVATAR,
             "description": "vibration of a seat",
             "perception_modality": "Vibrotactile",
             "reference_devices": [device],
@@ -92,16 +106,16 @@ class HjifWriter(TrackWriter):
             "effect_library": [],
         }
         return {
-            "version": VERSION,
+            "version": "2023",
             "profile": "Main",
             "level": 1 if most <= LEVEL_1_BANDS else 2,
-            "date": DATE,
+            "date": "2024-01-01T00:00:00+00:00",  # constant, so that equal sounds give equal files
             "description": (
                 f"Haptic Cushion, {duration_s:.3f} s; a sine's phase is in radians; "
                 f"{band_text(self._band_hz)}"
             ),
             "timescale": TICKS_A_SECOND,
-            "avatars": [{"id": 0, "lod": 0, "type": "Vibration"}],
+            "avatars": [{"id": AVATAR, "lod": 0, "type": "Vibration"}],
             "perceptions": [perception],
             "syncs": [{"timestamp": 0}],
         }
@@ -124,25 +138,26 @@ def effects_of(track: PartialTrack) -> list[dict[str, Any]]:
     begin = 0
     while begin < ticks.size - 1:
         whole_hz = max(1, round(float(at_hz[begin : begin + 50].mean())))
-        drift = turns[begin:] - turns[begin] - whole_hz * (seconds[begin:] - seconds[begin])
+        stop = min(ticks.size, begin + EFFECT_TICKS_MAX + 1)
+        drift = turns[begin:stop] - turns[begin] - whole_hz * (seconds[begin:stop] - seconds[begin])
         beyond = np.flatnonzero(np.abs(drift) > DRIFT_TURNS)
-        end = begin + max(1, int(beyond[0])) if beyond.size else ticks.size - 1
+        end = begin + max(1, int(beyond[0])) if beyond.size else stop - 1
         # The phase error changes from +drift/2 at the start to -drift/2 at the end.
         phase = turns[begin] + 0.5 * float(drift[end - begin])
-        inside = knees[(knees > begin) & (knees < end)]
+        inside = knees[np.searchsorted(knees, begin) : np.searchsorted(knees, end)]
         keyframes = [
             {
                 "relative_position": int(one - begin),
                 "amplitude_modulation": round(float(level[one]), 6),
                 "frequency_modulation": whole_hz,
             }
-            for one in np.unique([begin, *inside.tolist(), end])
+            for one in sorted({begin, *inside.tolist(), end})
         ]
         effects.append(
             {
                 "effect_type": "Basis",
                 "position": int(ticks[begin]),
-                "phase": round(2.0 * math.pi * ((phase + 0.25) % 1.0), 5),
+                "phase": min(PHASE_MAX, round(2.0 * math.pi * ((phase + 0.25) % 1.0), 5)),
                 "base_signal": "Sine",
                 "keyframes": keyframes,
             }
@@ -151,17 +166,15 @@ def effects_of(track: PartialTrack) -> list[dict[str, Any]]:
     return effects
 
 
-def _banded(effects: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
+def _banded(effects: list[_Effect]) -> list[list[_Effect]]:
     """Distribute effects over as few bands as possible, so that none overlap in a band."""
-    bands: list[list[dict[str, Any]]] = []
-    for effect in sorted(effects, key=lambda one: (one["position"], one["phase"])):
-        free = next((band for band in bands if _end_of(band[-1]) <= effect["position"]), None)
-        if free is None:
-            bands.append([effect])
+    bands: list[list[_Effect]] = []
+    ends: list[tuple[int, int]] = []  # end of each band's last effect, and index of the band
+    for effect in sorted(effects):
+        if ends and ends[0][0] <= effect[0]:
+            band = heapq.heapreplace(ends, (effect[2], ends[0][1]))[1]
+            bands[band].append(effect)
         else:
-            free.append(effect)
+            heapq.heappush(ends, (effect[2], len(bands)))
+            bands.append([effect])
     return bands
-
-
-def _end_of(effect: dict[str, Any]) -> int:
-    return int(effect["position"] + effect["keyframes"][-1]["relative_position"])

@@ -12,13 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from audioflinger_hook.exports.sound_output import LibsndfileTarget, SoundFileOutput
+from audioflinger_hook.exports.sound_output import LibsndfileTarget, SoundFileOutput, resampled
 from device.drive.outputs import WrappedOutput
 from device.errors import InternalError, UsageError
 from device.units import Float32Array, FloatArray
 
 AUDIO_CHANNELS_MAX = 8
-COMPRESSION_LEVEL = 0.1  # for libsndfile, 0 to 1; a low level distorts the vibration little
 SERIAL = 0x48435553  # serial number of all streams, so that equal sounds give equal files
 HEADERS = 3
 _BITS_REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
@@ -28,11 +27,18 @@ _PAGE_HEAD = struct.Struct("<4sBBqIIIB")
 class OggHapticOutput(WrappedOutput):
     """Writes sound and vibration to one file. Only one thread may use it.
 
+    samplerate: of sound and vibration. file_rate: sample rate of the file, at most 200 000 Hz;
+        libvorbis crashes at higher rates. Both are in Hz.
     audio_channels: 1 to 8. haptic_channels: 1 or 2. UsageError, WriteError: see `SoundFileOutput`.
     """
 
     def __init__(
-        self, path: Path, samplerate: int, audio_channels: int, haptic_channels: int
+        self,
+        path: Path,
+        samplerate: int,
+        file_rate: int,
+        audio_channels: int,
+        haptic_channels: int,
     ) -> None:
         if audio_channels > AUDIO_CHANNELS_MAX:
             raise UsageError(
@@ -41,14 +47,14 @@ class OggHapticOutput(WrappedOutput):
             )
         self._file = SoundFileOutput(
             path,
-            samplerate,
+            file_rate,
             audio_channels + haptic_channels,
             "OGG",
             "VORBIS",
             target=_HapticPages(path, haptic_channels),
-            level=COMPRESSION_LEVEL,
+            level=0.1,  # 0 to 1; a low level distorts the vibration little
         )
-        super().__init__(self._file)
+        super().__init__(resampled(self._file, samplerate))
         self.channels = haptic_channels
         self._waiting: tuple[deque[Float32Array], ...] = (deque(), deque())
         """Blocks of sound that wait for vibration, and of vibration that wait for sound."""
@@ -72,7 +78,7 @@ class OggHapticOutput(WrappedOutput):
         while all(self._waiting):
             frames = min(len(blocks[0]) for blocks in self._waiting)
             parts = [blocks.popleft() for blocks in self._waiting]
-            self._file.write(np.hstack([part[:frames] for part in parts]))
+            super().write(np.hstack([part[:frames] for part in parts]))
             for blocks, part in zip(self._waiting, parts, strict=True):
                 if frames < len(part):
                     blocks.appendleft(part[frames:])
@@ -130,10 +136,8 @@ class _HapticPages(LibsndfileTarget):
                 self._open = b""
         if len(self._packets) == 1:
             self._write(flags, position, lacing, body)
-        if len(self._packets) == HEADERS:
-            self._write_headers()
-
-    def _write_headers(self) -> None:
+        if len(self._packets) < HEADERS:
+            return
         comment, setup = with_comment(self._packets[1], self._comment), self._packets[2]
         lacing = b"".join(
             b"\xff" * (len(packet) // 255) + bytes([len(packet) % 255])
@@ -145,8 +149,7 @@ class _HapticPages(LibsndfileTarget):
             part, lacing = lacing[:255], lacing[255:]
             length = sum(part)
             # If no packet ends on a page, the page's position is -1.
-            position = 0 if min(part) < 255 else -1
-            self._write(continued, position, part, body[:length])
+            self._write(continued, 0 if min(part) < 255 else -1, part, body[:length])
             continued, body = int(part[-1] == 255), body[length:]
 
     def _write(self, flags: int, position: int, lacing: bytes, body: bytes) -> None:

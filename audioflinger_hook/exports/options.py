@@ -15,6 +15,8 @@ Band = tuple[float, float]  # lowest and highest frequency in Hz
 DEVICE_MIN_HZ, DEVICE_MAX_HZ = 20.0, 1_000.0
 DEVICE_SPAN_MIN_HZ = 10.0
 OUTPUT_RATE_MIN_HZ, OUTPUT_RATE_MAX_HZ = 1_000, 768_000
+RESAMPLED_HZ = 192_000  # sample rate of a file whose format cannot hold the sound's
+FLAC_ANY_HZ, FLAC_STEP_HZ = 65_535, 10  # above, FLAC's frames hold only multiples of 10 Hz
 
 
 @dataclass(frozen=True)
@@ -24,21 +26,26 @@ class Format:
     suffixes: file name endings that select the format; the first is the default.
     parametric: whether the file contains envelopes or partials instead of a waveform.
     channels_max: largest number of channels of vibration.
-    whole: whether the whole file is made in memory, so that the sound may last at most 3 hours.
+    rate_max_hz: highest sample rate of a waveform.
+    whole: whether the whole file is made in memory, so that the sound may last at most 1 hour.
     """
 
     suffixes: tuple[str, ...]
     description: str
     parametric: bool = False
     channels_max: int = 1
+    rate_max_hz: int = OUTPUT_RATE_MAX_HZ
     whole: bool = False
 
 
 FORMATS: dict[str, Format] = {
     "wav": Format((".wav", ".wave", ".rf64"), "vibration, float32", channels_max=64),
-    "flac": Format((".flac",), "vibration, 24 bits", channels_max=8),
+    "flac": Format((".flac",), "vibration, 24 bits", channels_max=8, rate_max_hz=655_350),
     "ogg-haptic": Format(
-        (".ogg", ".oga"), "the sound, with vibration as Android's haptic channels", channels_max=2
+        (".ogg", ".oga"),
+        "the sound, with vibration as Android's haptic channels",
+        channels_max=2,
+        rate_max_hz=200_000,
     ),
     "ahap": Format((".ahap",), "curves and transients of Core Haptics", True, whole=True),
     "haptic": Format((".haptic",), "envelopes of Meta and Lofelt", True, whole=True),
@@ -46,6 +53,14 @@ FORMATS: dict[str, Format] = {
     "hjif": Format((".hjif",), "partials of ISO/IEC 23090-31", True, channels_max=64, whole=True),
     "partials": Format((".jsonl",), "partial tracks, JSON lines", True, channels_max=64),
 }
+
+LONG = {
+    "ogg-haptic": (600, "takes about 4 times as long as wav or flac, because of its encoder"),
+    "vibration-xml": (200, "holds 200 s of changing vibration; more of it is refused at the end"),
+    "hjif": (600, "takes 4 to 30 times as long as wav or flac"),
+    "partials": (600, "takes about 2 to 4 times as long as wav or flac"),
+}
+"""What a command says at its start about sounds longer than some seconds, by format."""
 
 
 @dataclass(frozen=True)
@@ -80,15 +95,16 @@ class ExportOptions:
                     f"output_rate_hz={rate} does not fit the format ogg-haptic, which holds the "
                     "sound at its own rate; leave it out, or choose wav or flac"
                 )
-            if not OUTPUT_RATE_MIN_HZ <= rate <= OUTPUT_RATE_MAX_HZ:
+            if rate < OUTPUT_RATE_MIN_HZ or held_rate_hz(self.format, rate) != rate:
+                steps = f", above {FLAC_ANY_HZ} Hz in steps of {FLAC_STEP_HZ} Hz"
                 raise UsageError(
                     f"output_rate_hz={rate} is out of range; allowed: {OUTPUT_RATE_MIN_HZ} to "
-                    f"{OUTPUT_RATE_MAX_HZ} Hz; 1000 Hz holds all of the vibration"
+                    f"{FORMATS[self.format].rate_max_hz} Hz{steps * (self.format == 'flac')}; "
+                    "1000 Hz holds all of the vibration"
                 )
-        if self.device_band_hz is not None:
-            self._check_band(*self.device_band_hz)
-
-    def _check_band(self, low_hz: float, high_hz: float) -> None:
+        if self.device_band_hz is None:
+            return
+        low_hz, high_hz = self.device_band_hz
         given = f"device_band_hz={low_hz:g}:{high_hz:g}"
         if not FORMATS[self.format].parametric:
             raise UsageError(
@@ -159,6 +175,15 @@ def check_channel_count(name: str, channels: int) -> None:
             f"the format {name} cannot hold {channels} channels of vibration; allowed: 1 to "
             f"{most}; use channels = mono, fewer actuators, or one of: {', '.join(enough)}"
         )
+
+
+def held_rate_hz(name: str, samplerate: int) -> int:
+    """Return the sample rate of a format's file: that of the sound, or one that the file can have.
+
+    samplerate: of the sound in Hz.
+    """
+    fine = name != "flac" or samplerate <= FLAC_ANY_HZ or samplerate % FLAC_STEP_HZ == 0
+    return samplerate if fine and samplerate <= FORMATS[name].rate_max_hz else RESAMPLED_HZ
 
 
 def to_device_hz(hz: FloatArray, band_hz: Band | None) -> FloatArray:

@@ -1,8 +1,11 @@
 """Writing of parametric formats, which contain envelopes or partials instead of samples."""
 
 import json
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -10,9 +13,10 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.exports.glides import CHANNEL, CurveReader, VibrationCurve
+from audioflinger_hook.exports.decimals import decimal_text, point_texts
+from audioflinger_hook.exports.glides import CHANNEL, COLUMNS, FRAMES, CurveReader, VibrationCurve
 from audioflinger_hook.exports.options import FORMATS, Band, ExportOptions
-from audioflinger_hook.exports.tracks import PartialTrack, TrackReader
+from audioflinger_hook.exports.tracks import EndedTrack, PartialTrack, TrackReader, audible_tracks
 from audioflinger_hook.pipeline.framework import Framework
 from audioflinger_hook.pipeline.step import Step
 from audioflinger_hook.transform.design import LiveDesign
@@ -20,8 +24,10 @@ from device.atomic_file import AtomicFile
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray, db_to_amplitude
 
-DURATION_MAX_S = 3 * 3600.0  # longest sound of formats whose file is composed in memory
+DURATION_MAX_S = 3600.0  # longest sound of formats whose file is composed in memory
 SHORTEST_S = 0.001
+TOGETHER_S = 40.0  # duration of all tracks that are computed together
+JOBS_MAX = 16  # most calls of `TrackWriter.add` that wait for the thread
 
 
 @dataclass(frozen=True)
@@ -82,7 +88,7 @@ class DescribedOutput:
             self._heard += len(step.audio)
             self._played += len(step.vibration)
             if FORMATS[self._format].whole:
-                check_duration(self._played / self.samplerate, self._format)
+                check_duration(self._heard / self.samplerate, self._format)
             rows = framework.take_glides()
             for channel in range(self.channels):
                 self._writer.add(channel, rows[rows[:, CHANNEL] == channel], self._played)
@@ -95,10 +101,12 @@ class DescribedOutput:
     def close(self) -> None:
         """Write the rest of the file, which then appears under its name."""
         self.composed = self._writer.finish(self._heard / self.samplerate)
+        self._writer.end()
         self._file.commit()
 
     def abort(self) -> None:
         """Discard the file."""
+        self._writer.end()
         self._file.abort()
 
 
@@ -120,35 +128,62 @@ class CurveWriter:
         self._job.file.write(content)
         return composed
 
+    def end(self) -> None:
+        """Do nothing: there is no thread."""
+
 
 class TrackWriter(ABC):
-    """Writes a format that contains the partial tracks of all channels, on one thread."""
+    """Writes a format that contains the partial tracks of all channels. One thread may use it.
+
+    While the caller renders the next sound, a thread of the writer computes the tracks.
+    """
 
     def __init__(self, job: Job) -> None:
         self._job = job
         self._band_hz = job.options.device_band_hz
-        self._readers = [TrackReader(job.design, job.gain) for _ in range(job.channels)]
-        self._tracks = 0
+        self._readers = [TrackReader(job.design, channel) for channel in range(job.channels)]
+        self._counts = [0] * job.channels
+        self._ended: list[EndedTrack] = []
+        self._waiting_s = 0.0  # duration of all tracks in `_ended`
+        self._worker = ThreadPoolExecutor(1)
+        self._jobs: deque[Future[None]] = deque()
 
-    def add(self, channel: int, rows: FloatArray, frame: int) -> None:
+    def add(self, channel: int, rows: FloatArray, frame: float) -> None:
         """Add glides of a channel. The calls so far must include all that start before `frame`."""
-        self._take_all(channel, self._readers[channel].add(rows, frame))
+        self._jobs.append(self._worker.submit(self._divide, channel, rows, frame))
+        if len(self._jobs) > JOBS_MAX:
+            self._jobs.popleft().result()
 
     def finish(self, duration_s: float) -> Composed:
         """Take the tracks that have not ended, write the rest of the file and return counts."""
-        for channel, reader in enumerate(self._readers):
-            self._take_all(channel, reader.rest())
-        counts = {"tracks": self._tracks, **self.write_rest(duration_s)}
+        for channel in range(self._job.channels):
+            self.add(channel, np.zeros((0, COLUMNS)), math.inf)
+        while self._jobs:
+            self._jobs.popleft().result()
+        self._take_all()
+        counts = {"tracks": sum(self._counts), **self.write_rest(duration_s)}
         return Composed({name: float(count) for name, count in counts.items()})
 
-    def _take_all(self, channel: int, tracks: Iterable[PartialTrack]) -> None:
-        for track in tracks:
-            self._tracks += 1
-            self.take(channel, track.on_device(self._band_hz))
+    def end(self) -> None:
+        """End the thread, which then writes no more."""
+        self._worker.shutdown(cancel_futures=True)
+
+    def _divide(self, channel: int, rows: FloatArray, frame: float) -> None:
+        for track in self._readers[channel].add(rows, frame):
+            self._ended.append(track)
+            self._waiting_s += float(track.rows[:, FRAMES].sum()) / self._job.design.samplerate
+            if self._waiting_s > TOGETHER_S:
+                self._take_all()
+
+    def _take_all(self) -> None:
+        ended, self._ended, self._waiting_s = self._ended, [], 0.0
+        tracks = audible_tracks(self._job.design, self._job.gain, ended, self._counts)
+        if tracks:
+            self.take([(channel, track.on_device(self._band_hz)) for channel, track in tracks])
 
     @abstractmethod
-    def take(self, channel: int, track: PartialTrack) -> None:
-        """Write or store a track. Its frequencies are those of the device."""
+    def take(self, tracks: list[tuple[int, PartialTrack]]) -> None:
+        """Write or store tracks, each with its channel. Frequencies are those of the device."""
 
     @abstractmethod
     def write_rest(self, duration_s: float) -> dict[str, int]:
@@ -175,22 +210,25 @@ class PartialLines(TrackWriter):
             device_band_hz=self._band_hz,
         )
 
-    def take(self, channel: int, track: PartialTrack) -> None:
-        """Write a track that has ended."""
-        self._points += track.time_s.size
-        columns = (
-            np.round(track.time_s, 6),
-            np.round(track.hz, 3),
-            np.round(track.amplitude, 7),
-            np.round(track.turns % 1.0, 4) % 1.0,
+    def take(self, tracks: list[tuple[int, PartialTrack]]) -> None:
+        """Write tracks that have ended."""
+        sizes = np.array([track.time_s.size for _, track in tracks])
+        self._points += int(sizes.sum())
+        time_s, hz, amplitude, turns = (
+            np.concatenate([getattr(track, name) for _, track in tracks])
+            for name in ("time_s", "hz", "amplitude", "turns")
         )
-        points = np.column_stack(columns).tolist()
-        place = {"channel": channel, "track": track.number, "onset": track.onset}
-        self._line(type="track", **place, points=points)
+        phase = np.round(turns % 1.0, 4) % 1.0
+        places = ((time_s, 6), (hz, 3), (amplitude, 7), (phase, 4))
+        texts = point_texts([decimal_text(*column) for column in places], sizes)
+        for (channel, track), points in zip(tracks, texts, strict=True):
+            onset = json.dumps(track.onset)
+            head = f'{{"type":"track","channel":{channel},"track":{track.number},"onset":{onset}'
+            self._job.file.write(head.encode() + b',"points":[%b]}\n' % points)
 
     def write_rest(self, duration_s: float) -> dict[str, int]:
         """Write the end line."""
-        self._line(type="end", duration_s=duration_s, tracks=self._tracks)
+        self._line(type="end", duration_s=duration_s, tracks=sum(self._counts))
         return {"points": self._points}
 
     def _line(self, **entry: Any) -> None:
@@ -213,9 +251,10 @@ def rounded(value: float) -> float:
 def check_duration(duration_s: float, name: str) -> None:
     """Raise UsageError if a sound is too long for a format whose file is made in memory."""
     if duration_s > DURATION_MAX_S:
+        streamed = ", ".join(name for name, one in FORMATS.items() if not one.whole)
         raise UsageError(
-            f"the sound is longer than the format {name} may hold; allowed: "
-            f"{DURATION_MAX_S / 3600:g} hours; cut it, or choose one of: partials, wav, flac"
+            f"the sound of {duration_s:.1f} s is too long for the format {name}, which a player "
+            f"reads as a whole; allowed: {DURATION_MAX_S:g} s; cut it, or choose one of: {streamed}"
         )
 
 

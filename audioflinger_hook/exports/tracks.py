@@ -1,15 +1,22 @@
 """Partial tracks: time, frequency, amplitude and phase at points of a partial (sine component)."""
 
-from collections.abc import Iterator
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
+from numpy.typing import NDArray
 
 from audioflinger_hook.exports.envelope import simplify
 from audioflinger_hook.exports.glides import (
+    COLUMNS,
+    END_HZ,
+    END_LEVEL,
     FRAME,
     FRAMES,
     SLOT,
+    START_HZ,
     START_LEVEL,
     aligned_s,
     analytic,
@@ -35,6 +42,8 @@ RING_S, FAINT = 0.06, 0.003
 # the frequency in Hz. At lower amplitudes, a larger frequency error is allowed.
 LEVEL_TOLERANCE, HZ_TOLERANCE = 0.01, 0.3
 POINT_S, LONGEST_S = 0.002, 0.1  # smallest and largest time between two points
+TRACK_RATE_HZ = 1_000.0  # rate at which a track is sampled to choose its points
+PADDED = 1.25  # largest ratio of lengths of tracks that are computed together
 
 
 @dataclass(frozen=True)
@@ -59,8 +68,7 @@ class PartialTrack:
         length = np.diff(self.time_s)[place]
         since = time_s - self.time_s[place]
         slope = np.diff(self.hz)[place] / length
-        # Linear frequency does not reproduce the phase exactly; the difference is spread over the
-        # interval.
+        # Linear frequency does not give the exact phase: spread the difference over the interval.
         missed = np.diff(self.turns)[place] - length * (self.hz[place] + 0.5 * slope * length)
         turns: FloatArray = self.turns[place] + since * (
             self.hz[place] + 0.5 * slope * since + missed / length
@@ -77,67 +85,137 @@ class PartialTrack:
         return replace(self, hz=hz, turns=turns)
 
 
+@dataclass(frozen=True)
+class EndedTrack:
+    """Glides of a partial: (n, columns), n >= 1, and whether the hop of each glide rises, (n,)."""
+
+    channel: int
+    rows: FloatArray
+    rises: NDArray[np.bool_]
+
+
 class TrackReader:
-    """Makes tracks from a channel's successive glides, on one thread. gain: amplitude factor."""
+    """Divides a channel's successive glides into tracks, on one thread."""
 
-    def __init__(self, design: LiveDesign, gain: float) -> None:
-        self._design = design
-        self._gain = gain
-        self._open: dict[int, list[tuple[list[float], bool]]] = {}
-        self._count = 0
+    def __init__(self, design: LiveDesign, channel: int) -> None:
+        self._design, self._channel = design, channel
+        self._open = EndedTrack(channel, np.zeros((0, COLUMNS)), np.zeros(0, np.bool_))
 
-    def add(self, rows: FloatArray, frame: int) -> Iterator[PartialTrack]:
-        """Add glides, at least all that start before `frame`; yield the tracks that have ended."""
+    def add(self, rows: FloatArray, frame: float) -> list[EndedTrack]:
+        """Add glides, at least all that start before `frame`; return the tracks that have ended.
+
+        frame: infinity ends all tracks.
+        """
         rows = rows[np.lexsort((rows[:, SLOT], rows[:, FRAME]))]
-        rises = rising(self._design, rows)
-        for row, rise in zip(rows.tolist(), rises.tolist(), strict=True):
-            slot = int(row[SLOT])
-            mine = self._open.get(slot)
-            if mine:
-                last = mine[-1][0]
-                joined = last[FRAME] + last[FRAMES] == row[FRAME] and row[START_LEVEL] > 0.0
-                lasts_s = (row[FRAME] - mine[0][0][FRAME]) / self._design.samplerate
-                if not joined or lasts_s >= LONGEST_TRACK_S:
-                    yield from self._end(slot)
-            self._open.setdefault(slot, []).append((row, rise))
-        for slot, mine in list(self._open.items()):
-            last = mine[-1][0]
-            if last[FRAME] + last[FRAMES] + self._design.grid.hop_frames < frame:
-                yield from self._end(slot)
+        rises = np.concatenate((self._open.rises, rising(self._design, rows)))
+        rows = np.concatenate((self._open.rows, rows))
+        order = np.lexsort((rows[:, FRAME], rows[:, SLOT]))
+        rows, rises = rows[order], rises[order]
+        starts, slots = rows[:, FRAME], rows[:, SLOT]
+        same_slot = slots[1:] == slots[:-1]
+        joined = (starts[:-1] + rows[:-1, FRAMES] == starts[1:]) & (rows[1:, START_LEVEL] > 0.0)
+        cuts = [*(np.flatnonzero(~(same_slot & joined)) + 1).tolist(), len(rows)]
+        first, ended, kept = 0, list[tuple[bool, float, float, int, int]](), list[int]()
+        for cut in cuts if len(rows) else ():
+            while first < cut:
+                after_s = starts[first] + LONGEST_TRACK_S * self._design.samplerate
+                end = first + int(np.searchsorted(starts[first:cut], after_s))
+                if end < len(rows) and slots[end] == slots[first]:
+                    ended.append((False, starts[end], slots[end], first, end))
+                elif starts[end - 1] + rows[end - 1, FRAMES] + self._design.grid.hop_frames < frame:
+                    ended.append((True, starts[first], slots[first], first, end))
+                else:
+                    kept += range(first, end)
+                first = end
+        self._open = EndedTrack(self._channel, rows[kept], rises[kept])
+        # The order is that of the glides which end tracks, then that of the tracks' first glides.
+        return [
+            EndedTrack(self._channel, rows[first:end].copy(), rises[first:end].copy())
+            for *_, first, end in sorted(ended)
+        ]
 
-    def rest(self) -> Iterator[PartialTrack]:
-        """Yield the tracks that have not ended."""
-        for slot in list(self._open):
-            yield from self._end(slot)
 
-    def _end(self, slot: int) -> Iterator[PartialTrack]:
-        """Yield the track of a slot, filtered by the low-pass; yield nothing if it is silent."""
-        mine, design = self._open.pop(slot), self._design
-        rows = np.array([row for row, _ in mine])
-        glides, glide_hz = analytic(design, rows, np.array([rise for _, rise in mine]))
-        low_rate_hz = design.samplerate / design.grid.decimation
-        ring = np.zeros(round(RING_S * low_rate_hz), np.complex128)
-        signal, _ = low_pass(design, np.concatenate((glides.ravel(), ring)), at_rest(design))
-        amplitude = self._gain * np.abs(signal)
-        loudest = float(amplitude.max())
-        audible = np.flatnonzero(amplitude > FAINT * loudest)
-        if not loudest or audible[-1] - audible[0] < 2:
-            return
-        part = slice(int(audible[0]), int(audible[-1]) + 1)
-        turns = np.unwrap(np.angle(signal[part])) / (2.0 * np.pi)
-        known_hz = np.concatenate((glide_hz.ravel(), np.full(ring.size, glide_hz[-1, -1])))[part]
-        # While the low-pass starts and rings, the phase can change at any rate, so clip the rate.
-        hz = np.clip(np.gradient(turns) * low_rate_hz, 0.8 * known_hz, 1.25 * known_hz)
-        start_s = aligned_s(design, rows[0, FRAME])
-        times = start_s + np.arange(part.start, part.stop) / low_rate_hz
-        amplitude = amplitude[part]
-        tolerance = np.column_stack(
-            (np.full(hz.size, LEVEL_TOLERANCE * loudest),
-             HZ_TOLERANCE * np.sqrt(loudest / amplitude))
-        )  # fmt: skip
-        spacing, longest = max(1, round(POINT_S * low_rate_hz)), round(LONGEST_S * low_rate_hz)
-        kept = simplify(times, np.column_stack((amplitude, hz)), tolerance, spacing, longest)
-        onset = slot >= first_onset_slot(design)
-        columns = (values[kept] for values in (times, hz, amplitude, turns))
-        yield PartialTrack(self._count, onset, *columns)
-        self._count += 1
+def audible_tracks(
+    design: LiveDesign, gain: float, ended: Sequence[EndedTrack], counts: list[int]
+) -> list[tuple[int, PartialTrack]]:
+    """Return the channel and the partial of each track that is not silent, in the same order.
+
+    gain: amplitude factor. counts: number of audible tracks so far in each channel; is increased.
+    """
+    # Tracks of similar length are computed together, padded to the longest.
+    kinds = [(one.rows[0, FRAMES], int(math.log(len(one.rows), PADDED))) for one in ended]
+    found: dict[int, PartialTrack] = {}
+    for _, group in groupby(sorted(range(len(ended)), key=kinds.__getitem__), kinds.__getitem__):
+        found |= _filtered(design, gain, ended, list(group))
+    tracks = []
+    for place, track in sorted(found.items()):
+        channel = ended[place].channel
+        tracks.append((channel, replace(track, number=counts[channel])))
+        counts[channel] += 1
+    return tracks
+
+
+def _filtered(
+    design: LiveDesign, gain: float, ended: Sequence[EndedTrack], group: list[int]
+) -> dict[int, PartialTrack]:
+    """Return the tracks of a group, filtered by the low-pass, by place; leave out silent ones."""
+    chosen = [ended[place] for place in group]
+    lengths = np.array([len(one.rows) for one in chosen])
+    # Repeat the last glide of each track at level 0.
+    glide = np.minimum(np.arange(lengths.max()), lengths[:, None] - 1)
+    glide += (np.cumsum(lengths) - lengths)[:, None]
+    rows = np.concatenate([one.rows for one in chosen])[glide]
+    padded = np.arange(lengths.max()) >= lengths[:, None]
+    rows[padded, START_HZ] = rows[padded, END_HZ]
+    rows[padded, START_LEVEL] = rows[padded, END_LEVEL] = 0.0
+    rises = np.concatenate([one.rises for one in chosen])[glide]
+    glides, glide_hz = analytic(design, rows.reshape(-1, rows.shape[2]), rises.ravel())
+    low_rate_hz = design.samplerate / design.grid.decimation
+    ring, size = round(RING_S * low_rate_hz), len(chosen)
+    signal = np.pad(glides.reshape(size, -1), ((0, 0), (0, ring)))
+    known_hz = np.pad(glide_hz.reshape(size, -1), ((0, 0), (0, ring)), "edge")
+    rest = at_rest(design)
+    state = np.zeros((*rest.shape[:-1], size, rest.shape[-1]), np.complex128)
+    signal, _ = low_pass(design, signal, state)
+    step = max(1, round(low_rate_hz / TRACK_RATE_HZ))
+    signal, known_hz, rate_hz = signal[:, ::step], known_hz[:, ::step], low_rate_hz / step
+    amplitude = gain * np.abs(signal)
+    sample = np.arange(amplitude.shape[1])
+    amplitude[sample * step >= (lengths * glides.shape[1] + ring)[:, None]] = 0.0
+    loudest = amplitude.max(axis=1)
+    audible = amplitude > FAINT * loudest[:, None]
+    first, last = audible.argmax(axis=1), sample[-1] - audible[:, ::-1].argmax(axis=1)
+    kept = np.flatnonzero((loudest > 0.0) & (last - first >= 2))
+    if not kept.size:
+        return {}
+    # The audible parts of all tracks in a row.
+    first, last, loudest = first[kept], last[kept], loudest[kept]
+    part = (sample >= first[:, None]) & (sample <= last[:, None])
+    sizes = last - first + 1
+    ends = np.cumsum(sizes)
+    begins = ends - sizes
+    amplitude, known_hz = amplitude[kept][part], known_hz[kept][part]
+    turns = np.angle(signal[kept][part]) / (2.0 * np.pi)
+    wraps = np.concatenate(([0.0], np.cumsum(np.rint(np.diff(turns)))))
+    turns -= wraps - np.repeat(wraps[begins], sizes)
+    slope = np.empty_like(turns)
+    slope[1:-1] = (turns[2:] - turns[:-2]) / 2.0
+    slope[begins] = turns[begins + 1] - turns[begins]
+    slope[ends - 1] = turns[ends - 1] - turns[ends - 2]
+    # While the low-pass starts and rings, the phase can change at any rate, so clip the rate.
+    hz = np.clip(slope * rate_hz, 0.8 * known_hz, 1.25 * known_hz)
+    start_s = aligned_s(design, rows[kept, 0, FRAME])
+    times = np.repeat(start_s, sizes) + np.broadcast_to(sample, part.shape)[part] / rate_hz
+    peak = np.repeat(loudest, sizes)
+    tolerance = np.column_stack((LEVEL_TOLERANCE * peak, HZ_TOLERANCE * np.sqrt(peak / amplitude)))
+    spacing, longest = max(1, round(POINT_S * rate_hz)), round(LONGEST_S * rate_hz)
+    values = np.column_stack((amplitude, hz))
+    points = simplify(times, values, tolerance, spacing, longest, sizes.tolist())
+    onset = rows[kept, 0, SLOT] >= first_onset_slot(design)
+    columns = [one[points] for one in (times, hz, amplitude, turns)]
+    cuts = np.searchsorted(points, begins[1:])
+    parts = zip(*(np.split(column, cuts) for column in columns), strict=True)
+    return {
+        group[place]: PartialTrack(0, bool(is_onset), *columns)
+        for place, is_onset, columns in zip(kept.tolist(), onset, parts, strict=True)
+    }

@@ -11,6 +11,8 @@ from device.units import Float32Array
 
 _BACK = ("BL", "BR", "BC", "TBL", "TBC", "TBR")
 _FRONT_PREFIXES = ("F", "TF", "BF")
+_HALVES = {"L": (2.0, 0.0), "R": (0.0, 2.0)}
+_OPPOSITES = {"L": "LR", "R": "LR", "F": "FB", "B": "FB"}
 
 
 @cache
@@ -47,10 +49,6 @@ def source_weights(channels: int, sources: Sequence[str]) -> NDArray[np.float64]
             for row, side, share in zip(weights[:, column], sides(channels), mean, strict=True):
                 row[:] = np.multiply(on_side.get(side, (1.0, 1.0)), share)
     return weights
-
-
-_HALVES = {"L": (2.0, 0.0), "R": (0.0, 2.0)}
-_OPPOSITES = {"L": "LR", "R": "LR", "F": "FB", "B": "FB"}
 
 
 class ChannelMap:

@@ -9,15 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from audioflinger_hook.mixer.mix_buffer import (
-    DEVICE,
-    OUTPUT_MIX,
-    OUTPUT_STAGE,
-    EffectsPort,
-    MixBuffer,
-    Sink,
-    normal_buffer_frames,
-)
+from audioflinger_hook.mixer import mix_buffer
 from audioflinger_hook.mixer.pcm import PcmFormat
 from audioflinger_hook.mixer.track import SAMPLERATES, Request, Track, out_of_range
 from audioflinger_hook.mixer.track_mixer import Lane, Readiness
@@ -25,9 +17,7 @@ from device.errors import UsageError
 from device.layouts import CHANNELS_MAX
 from device.units import Float32Array
 
-STANDBY_DELAY_S = 3.0  # time without an active track until standby
 TAIL_S = 1.0  # a player's effects process silence for this time after its last track
-HAL_FRAMES_MAX = 1 << 16
 
 
 class MixerState(Enum):
@@ -42,17 +32,16 @@ class MixerState(Enum):
 class CycleReport(NamedTuple):
     """Report of one cycle.
 
-    state: state of the mixer after the cycle. frames_written: 0 in standby.
-    tracks_mixed: number of mixed tracks.
-    underruns: number of playing tracks that had too few frames.
-    buffer: the written samples, or silence in standby; the next cycle overwrites the buffer.
+    state: state of the mixer after the cycle. frames_written: 0 in standby. tracks_mixed: number of
+    mixed tracks. underruns: number of playing tracks that had too few frames. buffer: the written
+    samples, or silence in standby; the next cycle overwrites the buffer.
     """
 
     state: MixerState
     frames_written: int
     tracks_mixed: int
     underruns: int
-    buffer: MixBuffer
+    buffer: mix_buffer.MixBuffer
 
 
 class Mixer:
@@ -77,12 +66,12 @@ class Mixer:
         *,
         hal_frames: int = 240,
         haptic_channels: int = 0,
-        sinks: Sequence[Sink] = (),
-        effects: EffectsPort | None = None,
-        standby_delay_s: float = STANDBY_DELAY_S,
+        sinks: Sequence[mix_buffer.Sink] = (),
+        effects: mix_buffer.EffectsPort | None = None,
+        standby_delay_s: float = 3.0,
     ) -> None:
         wrong = [
-            *out_of_range("hal_frames", hal_frames, 1, HAL_FRAMES_MAX, ""),
+            *out_of_range("hal_frames", hal_frames, 1, 1 << 16, ""),
             *out_of_range("samplerate", samplerate, *SAMPLERATES, " Hz"),
             *out_of_range("channels", channels, 1, CHANNELS_MAX, ""),
             *out_of_range("haptic_channels", haptic_channels, 0, CHANNELS_MAX, ""),
@@ -90,12 +79,11 @@ class Mixer:
         if wrong:
             raise UsageError(f"the mix cannot have {'; '.join(wrong)}")
         self.samplerate, self.channels = samplerate, channels
-        self.haptic_channels = haptic_channels
-        self.hal_frames = hal_frames
-        self.frames = normal_buffer_frames(samplerate, hal_frames)
-        self.buffer = MixBuffer(self.frames, channels, haptic_channels)
+        self.haptic_channels, self.hal_frames = haptic_channels, hal_frames
+        self.frames = mix_buffer.normal_buffer_frames(samplerate, hal_frames)
+        self.buffer = mix_buffer.MixBuffer(self.frames, channels, haptic_channels)
         self.sinks = tuple(sinks)
-        self.effects: EffectsPort = effects or EffectsPort()
+        self.effects: mix_buffer.EffectsPort = effects or mix_buffer.EffectsPort()
         self.on_mix: Callable[[Float32Array], None] | None = None
         self._events: deque[Callable[[], None]] = deque()
         self._lanes: tuple[Lane, ...] = ()
@@ -164,8 +152,19 @@ class Mixer:
         default). With cycles as long as the buffers of the source, mixing adds no delay.
         """
         self.cycles += 1
-        self._take_events()
-        active = self._active_lanes()
+        # An event can post another event, which then waits for the next cycle.
+        for _ in range(len(self._events)):
+            event = self._events.popleft()
+            try:
+                event()
+            except Exception as failure:  # a failing event must not interrupt the sound
+                self.failed_events += 1
+                self.last_failure = f"{type(failure).__name__}: {failure}"
+        for lane in self._lanes:
+            lane.update()  # carries out the client's requests
+        if any(lane.gone for lane in self._lanes):
+            self._lanes = tuple(lane for lane in self._lanes if not lane.gone)
+        active = [lane for lane in self._lanes if lane.is_active]
         if self._stands_by(bool(active), now_s):
             return CycleReport(MixerState.STANDBY, 0, 0, 0, self.buffer)
         frames = self.frames if frames is None else max(1, min(frames, self.frames))
@@ -181,24 +180,6 @@ class Mixer:
         self.cycles_written += 1
         self.frames_written += frames
         return CycleReport(self.state, frames, mixed, underruns, self.buffer)
-
-    def _take_events(self) -> None:
-        # An event can post another event, which then waits for the next cycle.
-        for _ in range(len(self._events)):
-            event = self._events.popleft()
-            try:
-                event()
-            except Exception as failure:  # a failing event must not interrupt the sound
-                self.failed_events += 1
-                self.last_failure = f"{type(failure).__name__}: {failure}"
-
-    def _active_lanes(self) -> list[Lane]:
-        """Execute the clients' requests, and return the `Lane` of each active track."""
-        for lane in self._lanes:
-            lane.update()
-        if any(lane.gone for lane in self._lanes):
-            self._lanes = tuple(lane for lane in self._lanes if not lane.gone)
-        return [lane for lane in self._lanes if lane.is_active]
 
     def _stands_by(self, any_active: bool, now_s: float) -> bool:
         """Enter standby if no track was mixed for `standby_delay_s`. Return True in standby."""
@@ -218,7 +199,15 @@ class Mixer:
 
     def _mix(self, active: list[Lane], frames: int) -> tuple[int, int]:
         """Mix the tracks. Return the numbers of mixed tracks and of tracks with too few frames."""
-        self._follow_sessions()
+        # Each player session with an effect chain has its own mix.
+        self._chains = frozenset(self.effects.sessions())
+        players = {session for session in self._chains if session > mix_buffer.OUTPUT_MIX}
+        if players != self._sessions.keys():
+            self._sessions = {
+                session: self._sessions.get(session)
+                or SessionMix(self.samplerate, self.frames, self.channels, self.haptic_channels)
+                for session in sorted(players, reverse=True)
+            }
         if self.buffer.frames != frames:
             self.buffer.hold(frames)
         scratch = self._scratch[:frames]
@@ -241,17 +230,6 @@ class Mixer:
                 self._empty = False
         return mixed, underruns
 
-    def _follow_sessions(self) -> None:
-        """Give each player session with an effect chain its own mix; delete other session mixes."""
-        self._chains = frozenset(self.effects.sessions())
-        players = {session for session in self._chains if session > OUTPUT_MIX}
-        if players != self._sessions.keys():
-            self._sessions = {
-                session: self._sessions.get(session)
-                or SessionMix(self.samplerate, self.frames, self.channels, self.haptic_channels)
-                for session in sorted(players, reverse=True)
-            }
-
     def _process(self, now_s: float) -> None:
         """Apply the players' chains, add their outputs to the mix, then apply the mix's chains."""
         buffer = self.buffer
@@ -268,7 +246,7 @@ class Mixer:
             buffer.audio[...] = 0.0
         if self.on_mix is not None:
             self.on_mix(buffer.audio)
-        for session in (OUTPUT_MIX, OUTPUT_STAGE, DEVICE):
+        for session in (mix_buffer.OUTPUT_MIX, mix_buffer.OUTPUT_STAGE, mix_buffer.DEVICE):
             if session in self._chains:
                 self.effects.process(session, buffer, now_s)
 
@@ -277,10 +255,9 @@ class SessionMix:
     """Mix of the tracks of one player session, for the session's own effects."""
 
     def __init__(self, samplerate: int, frames: int, channels: int, haptic_channels: int) -> None:
-        self.buffer = MixBuffer(frames, channels, haptic_channels)
+        self.buffer = mix_buffer.MixBuffer(frames, channels, haptic_channels)
         self._tail_whole = round(TAIL_S * samplerate)
-        self._tail_left = 0
-        self._empty = True
+        self._tail_left, self._empty = 0, True
 
     def add(self, lane: Lane, scratch: Float32Array) -> None:
         """Add a track for which `Lane.prepare` has returned READY."""

@@ -31,9 +31,8 @@ class PcmFormat(Enum):
         """Create a member of the enumeration."""
         member = object.__new__(cls)
         member._value_ = name
-        member.bytes_per_sample = bytes_per_sample
+        member.bytes_per_sample, member.full_scale = bytes_per_sample, full_scale
         member.dtype = np.dtype(dtype)
-        member.full_scale = full_scale
         return member
 
 
@@ -117,6 +116,5 @@ def encode(frames: NDArray[np.floating[Any]], pcm_format: PcmFormat) -> bytes:
     if pcm_format is PcmFormat.U8:
         return (whole + 128.0).astype(np.uint8).tobytes()
     if pcm_format is PcmFormat.I24:
-        words = whole.astype("<i4").reshape(-1, 1).view(np.uint8)
-        return words[:, :3].tobytes()
+        return whole.astype("<i4").reshape(-1, 1).view(np.uint8)[:, :3].tobytes()
     return whole.astype(pcm_format.dtype).tobytes()

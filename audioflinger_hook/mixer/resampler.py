@@ -85,8 +85,7 @@ def block_matrices(ratio: Ratio) -> BlockMatrices:
     period = up * repeats
     blocks = -(-period // rows_at_once)
     rows = -(-period // blocks)
-    output = np.arange(period)
-    position = output * down // up
+    position = np.arange(period) * down // up
     offsets = position[::rows][:blocks]
     columns = taps + max(
         int(position[min(first + rows, period) - 1] - position[first])
@@ -152,19 +151,7 @@ class Resampler:
 
     def feed(self, frames: Float32Array) -> None:
         """Append input frames, (n, channels), with non-finite samples replaced by 0."""
-        room = self._reserve(len(frames))
-        room[...] = frames
-        # A non-finite sample times a coefficient of 0 would be NaN.
-        finite = np.isfinite(room)
-        if not finite.all():
-            room[~finite] = 0.0
-
-    def produce(self, frames: Float32Array) -> None:
-        """Fill `frames`, (n, channels), after `frames_needed(n)` input frames were fed."""
-        self._kernel.render(self._inputs, self._base, self._next, frames)
-        self._next += len(frames)
-
-    def _reserve(self, count: int) -> Float32Array:
+        count = len(frames)
         end = self._fed - self._base
         if end + count + self._kernel.slack > len(self._inputs):
             kept = self._kernel.first_input(self._next) - self._base
@@ -179,7 +166,17 @@ class Resampler:
                 self._inputs[:held] = self._inputs[kept:end]
             end = held
         self._fed += count
-        return self._inputs[end : end + count]
+        room = self._inputs[end : end + count]
+        room[...] = frames
+        # A non-finite sample times a coefficient of 0 would be NaN.
+        finite = np.isfinite(room)
+        if not finite.all():
+            room[~finite] = 0.0
+
+    def produce(self, frames: Float32Array) -> None:
+        """Fill `frames`, (n, channels), after `frames_needed(n)` input frames were fed."""
+        self._kernel.render(self._inputs, self._base, self._next, frames)
+        self._next += len(frames)
 
 
 def frames_out(frames_in: int, rate_in: int, rate_out: int) -> int:
@@ -202,8 +199,7 @@ class _BlockKernel:
         self._blocks: BlockMatrices = block_matrices(ratio)
         columns = self._blocks.matrices.shape[2]
         self._whole = np.zeros((self._blocks.rows, channels), np.float32)
-        self.slack = columns
-        self.reach = 3 * columns
+        self.slack, self.reach = columns, 3 * columns
 
     def first_input(self, output: int) -> int:
         """Return the first input frame needed for output frames from `output` on."""
@@ -213,9 +209,7 @@ class _BlockKernel:
 
     def render(self, inputs: Float32Array, base: int, first: int, frames: Float32Array) -> None:
         """Fill `frames` with output frames from `first` on; inputs[0] is input frame `base`."""
-        blocks = self._blocks
-        columns = self.slack
-        done = 0
+        blocks, columns, done = self._blocks, self.slack, 0
         while done < len(frames):
             period, block, row = self._place(first + done)
             end_row = min(blocks.rows, blocks.period_out - block * blocks.rows)
@@ -242,8 +236,7 @@ class _InterpolatingKernel:
     def __init__(self, ratio: Ratio) -> None:
         self._ratio = ratio
         self._table = phase_table(ratio)
-        self.slack = 0
-        self.reach = 2 * ratio.taps
+        self.slack, self.reach = 0, 2 * ratio.taps
 
     def first_input(self, output: int) -> int:
         return output * self._ratio.down // self._ratio.up - self._ratio.taps + 1

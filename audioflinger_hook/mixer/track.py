@@ -13,6 +13,8 @@ from device.errors import UsageError
 from device.layouts import CHANNELS_MAX
 from device.units import Float32Array
 
+SAMPLERATES = 1_000, 768_000  # lowest and highest, Hz
+
 
 class TrackState(Enum):
     """State of a track."""
@@ -70,8 +72,7 @@ class FrameRing:
     def __init__(self, capacity_frames: int, channels: int) -> None:
         self._frames = np.zeros((capacity_frames, channels), np.float32)
         self.capacity_frames = capacity_frames
-        self.written = 0
-        self.read = 0
+        self.written = self.read = 0
 
     @property
     def room(self) -> int:
@@ -83,10 +84,6 @@ class FrameRing:
         first = position % self.capacity_frames
         wrapped = max(0, first + count - self.capacity_frames)
         return self._frames[first : first + count - wrapped], self._frames[:wrapped]
-
-
-SAMPLERATES = 1_000, 768_000  # lowest and highest, Hz
-PERIODS_IN_RING = 2  # default capacity of a ring in mixer cycles
 
 
 class Track:
@@ -122,7 +119,7 @@ class Track:
     ) -> None:
         rate_wrong = out_of_range("samplerate", samplerate, *SAMPLERATES, " Hz")
         period = 1 if rate_wrong else period_frames(samplerate, mix_samplerate, mix_frames)
-        ring_frames = PERIODS_IN_RING * period if ring_frames is None else ring_frames
+        ring_frames = 2 * period if ring_frames is None else ring_frames
         start_threshold = ring_frames if start_threshold is None else start_threshold
         ring_wrong = out_of_range("ring_frames", ring_frames, period, None, "")
         threshold_most = None if ring_wrong else ring_frames
@@ -138,12 +135,8 @@ class Track:
             wrong.insert(0, f"format={pcm_format!r} is not one of PcmFormat: {known}")
         if wrong:
             raise UsageError(f"track {name!r} cannot be made: {'; '.join(wrong)}")
-        self.id = track_id
-        self.name = name
-        self.session = session
-        self.format = pcm_format
-        self.samplerate = samplerate
-        self.channels = channels
+        self.id, self.name, self.session = track_id, name, session
+        self.format, self.samplerate, self.channels = pcm_format, samplerate, channels
         self.mix_samplerate = mix_samplerate
         self.start_threshold = start_threshold
         self.ring = FrameRing(ring_frames, channels)
@@ -153,8 +146,7 @@ class Track:
         # Only the mixer's thread sets the following attributes.
         self.mixed_state = TrackState.IDLE
         self.disabled = False
-        self.underrun_frames = 0
-        self.underruns = 0
+        self.underruns = self.underrun_frames = 0
 
     @property
     def state(self) -> TrackState:
@@ -193,19 +185,19 @@ class Track:
 
     def start(self) -> None:
         """Begin to play when `start_threshold` frames are in the ring; after a pause, fade in."""
-        self._ask(Request.START)
+        self.requests.append((Request.START, self.ring.written))
 
     def pause(self) -> None:
         """Fade out over one buffer. The frames in the ring remain."""
-        self._ask(Request.PAUSE)
+        self.requests.append((Request.PAUSE, self.ring.written))
 
     def stop(self) -> None:
         """Play the frames written before this call, then stop. A paused track drops its frames."""
-        self._ask(Request.STOP)
+        self.requests.append((Request.STOP, self.ring.written))
 
     def flush(self) -> None:
         """Drop the frames written before this call. ACTIVE and RESUMING tracks ignore this."""
-        self._ask(Request.FLUSH)
+        self.requests.append((Request.FLUSH, self.ring.written))
 
     def set_volume(self, volume: float | Sequence[float]) -> None:
         """Set the gain, 0 to 1, with a ramp over the next buffer.
@@ -232,9 +224,6 @@ class Track:
         ):
             return samples
         return stored_frames(samples, self.format, self.channels)
-
-    def _ask(self, request: Request) -> None:
-        self.requests.append((request, self.ring.written))
 
 
 def period_frames(samplerate: int, mix_samplerate: int, mix_frames: int) -> int:

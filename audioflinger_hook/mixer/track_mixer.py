@@ -13,6 +13,7 @@ from device.layouts import sides
 from device.units import Float32Array
 
 SMALLEST_NORMAL = float(np.finfo(np.float32).tiny)
+RETRIES = 50  # a track is disabled when it has missed this many full cycles in a row, about 1 s
 
 Gains = tuple[float, ...]
 
@@ -104,9 +105,6 @@ def decibels(gain: float) -> float:
     return 20.0 * math.log10(gain) if gain > 0.0 else -math.inf
 
 
-RETRIES = 50  # a track is disabled when it has missed this many full cycles in a row, about 1 s
-
-
 class Readiness(Enum):
     """Whether a cycle can mix a track."""
 
@@ -127,8 +125,7 @@ class Lane:
         self._state = track.mixed_state
         self._filling, self._leaving = True, False
         self._missed_frames = self._written_when_disabled = self._stop_at = self._tail_frames = 0
-        self._channels = channels
-        self._frames = frames
+        self._channels, self._frames = channels, frames
         self._map = ChannelMap(track.channels, channels)
         self._resampler: Resampler | None = None
         if track.samplerate != samplerate:
@@ -191,7 +188,10 @@ class Lane:
             self._resampler.produce(sound)
         if self._map.spreads:
             sound = self._map.apply(sound, self._mapped, self._spare)
-        goal = None if self._state is TrackState.PAUSING else self._goal()
+        volume = self.track.volume
+        if volume is not self._volume:
+            self._volume, self._gains = volume, gains_of(volume, self._channels)
+        goal = None if self._state is TrackState.PAUSING else self._gains
         self._ramp.mix(sound, target, goal, scratch, first=first)
         # The client may now overwrite the frames in the ring.
         self.track.ring.read += self._take
@@ -231,13 +231,6 @@ class Lane:
         track.underruns += 1
         track.underrun_frames += self._needed
         return Readiness.UNDERRUN
-
-    def _goal(self) -> Gains:
-        volume = self.track.volume
-        if volume is not self._volume:
-            self._volume = volume
-            self._gains = gains_of(volume, self._channels)
-        return self._gains
 
     def _ready(self) -> int:
         """Return the number of frames in the ring; frames written after a stop do not count."""

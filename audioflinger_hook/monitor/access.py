@@ -1,8 +1,12 @@
-"""Access control of the page, by token, host and origin.
+"""Access control of the page, by key, host and origin.
 
-Web pages of other sites can send requests to this computer. Such requests lack the token or have a
+Web pages of other sites can send requests to this computer. Such requests lack the key or have a
 foreign Origin header, and get no data of the daemon. Requests with an unknown Host header, as after
 DNS rebinding, are refused.
+
+An address that opens the page ends with a code. The page exchanges the code for the key. Each code
+is an empty file in the daemon's folder, named after the code's hash, so other processes can make
+codes. Its time of modification is the time at which the code was made.
 """
 
 import hmac
@@ -11,17 +15,21 @@ import re
 import secrets
 import socket
 import stat
+from contextlib import suppress
 from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
 
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from device.errors import UsageError, WriteError
 
-TOKEN_NAME = "page.token"
-TOKEN_BYTES = 16
+KEY_NAME = "page.token"
+KEY_BYTES = 16
+CODE_S = 60.0  # time for which a code is valid
+CODE_NAME = "page.code."
+CODE_SIGNS, CODE_LENGTH = "23456789abcdefghjkmnpqrstuvwxyz", 12  # 59 bits, easy to type
+DEFAULT = "127.0.0.1:8765"
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
-WILDCARDS = ("0.0.0.0", "[::]")
-
-_TOKEN = re.compile(rb"[0-9a-f]{%d}" % (2 * TOKEN_BYTES))
 
 
 @dataclass(frozen=True)
@@ -42,45 +50,85 @@ class Listen:
         return cls(host.lower(), int(port))
 
     @property
+    def command(self) -> str:
+        """The command that serves this address, or prints an address with a new code."""
+        chosen = f"{self.host}:{self.port}"
+        return "cushion monitor" + (f" --listen {chosen}" if chosen != DEFAULT else "")
+
+    @property
+    def url(self) -> str:
+        """The page's URL, without a code."""
+        return f"http://{self.shown_host}:{self.port}/"
+
+    @property
     def shown_host(self) -> str:
         """Host in the printed address. For a wildcard host, this is the computer's host name."""
-        return socket.gethostname().lower() if self.host in WILDCARDS else self.host
+        return socket.gethostname().lower() if self.host in ("0.0.0.0", "[::]") else self.host
 
 
-def load_token(folder: RuntimeFolder) -> str:
-    """Return the page's token. If the daemon's folder has no valid token, store a new one there.
+def load_key(folder: RuntimeFolder) -> str:
+    """Return the page's key. If the daemon's folder has no valid key, store a new one there.
 
-    WriteError: the token cannot be read or stored.
+    WriteError: the key cannot be read or stored.
     """
-    path = folder.path / TOKEN_NAME
+    path = folder.path / KEY_NAME
     try:
         try:
-            fd = os.open(TOKEN_NAME, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder.fd)
+            fd = os.open(KEY_NAME, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder.fd)
             with os.fdopen(fd, "rb") as file:
                 found, known = os.fstat(fd), file.read(100)
             private = found.st_uid == os.geteuid() and stat.S_IMODE(found.st_mode) == 0o600
-            if stat.S_ISREG(found.st_mode) and private and _TOKEN.fullmatch(known):
+            form = rb"[0-9a-f]{%d}" % (2 * KEY_BYTES)
+            if stat.S_ISREG(found.st_mode) and private and re.fullmatch(form, known):
                 return known.decode()
-            os.unlink(TOKEN_NAME, dir_fd=folder.fd)
+            os.unlink(KEY_NAME, dir_fd=folder.fd)
         except FileNotFoundError:
             pass
-        token = secrets.token_hex(TOKEN_BYTES)
+        key = secrets.token_hex(KEY_BYTES)
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
-        fd = os.open(TOKEN_NAME, flags, 0o600, dir_fd=folder.fd)
+        fd = os.open(KEY_NAME, flags, 0o600, dir_fd=folder.fd)
         with os.fdopen(fd, "w") as file:
-            file.write(token)
+            file.write(key)
     except OSError as error:
-        raise WriteError(f"cannot keep the token in {path}: {error.strerror}; remove it") from error
-    return token
+        raise WriteError(f"cannot keep the key in {path}: {error.strerror}; remove it") from error
+    return key
+
+
+def new_code(folder: RuntimeFolder, now_s: float) -> str:
+    """Return a new code, which is valid once, for CODE_S. now_s: time of day.
+
+    WriteError: the code cannot be stored.
+    """
+    code = "".join(secrets.choice(CODE_SIGNS) for _ in range(CODE_LENGTH))
+    try:
+        for known in folder.path.glob(f"{CODE_NAME}*"):
+            if not _is_valid(known, now_s):
+                known.unlink(missing_ok=True)
+        path = _file_of(folder, code)
+        path.touch(0o600, exist_ok=False)
+        os.utime(path, (now_s, now_s))
+    except OSError as error:
+        raise WriteError(f"cannot keep a code in {folder.path}: {error.strerror}") from error
+    return code
+
+
+def _file_of(folder: RuntimeFolder, code: str) -> Path:
+    return folder.path / (CODE_NAME + sha256(code.lower().encode("utf-8", "replace")).hexdigest())
+
+
+def _is_valid(path: Path, now_s: float) -> bool:
+    """Whether a code is young enough. A second is left for the rounding of file times."""
+    with suppress(OSError):
+        return -1.0 <= now_s - path.stat().st_mtime <= CODE_S
+    return False
 
 
 class Access:
-    """Checks requests. Any thread may use it. cookie: value of the header Set-Cookie."""
+    """Checks requests to the server at `listen`. key: what a browser gets for a code."""
 
-    def __init__(self, listen: Listen, token: str) -> None:
-        self._token = token.encode()
-        self.cookie_name = f"cushion_{listen.port}"
-        self.cookie = f"{self.cookie_name}={token}; Path=/; HttpOnly; SameSite=Strict"
+    def __init__(self, listen: Listen, key: str, folder: RuntimeFolder) -> None:
+        self.key, self._folder = key, folder
+        self.advice = f"this tab has no key; run `{listen.command} --open`"[:123]
         names = {*LOOPBACK, listen.host, listen.shown_host}
         self._hosts = {f"{name}:{listen.port}" for name in names}
         self._port = listen.port
@@ -89,8 +137,7 @@ class Access:
         """Return why the Host headers are refused, or "". own_address: the server's IP address."""
         own_address = own_address.removeprefix("::ffff:")  # prefix of IPv4-mapped addresses
         own = f"[{own_address}]" if ":" in own_address else own_address
-        known = self._hosts | {f"{own}:{self._port}"}
-        if len(hosts) == 1 and hosts[0].lower() in known:
+        if len(hosts) == 1 and hosts[0].lower() in self._hosts | {f"{own}:{self._port}"}:
             return ""
         return "the host is not this server; open the address that `cushion monitor` prints"
 
@@ -102,17 +149,20 @@ class Access:
             return ""
         return "the request comes from another page; only this server's own page may connect"
 
-    def is_token(self, given: str) -> bool:
-        """Whether `given` is the token, compared in constant time."""
-        return hmac.compare_digest(given.encode("utf-8", "replace"), self._token)
+    def is_key(self, given: object) -> bool:
+        """Whether `given` is the key, compared in constant time."""
+        return hmac.compare_digest(str(given).encode("utf-8", "replace"), self.key.encode())
 
-    def has_cookie(self, header: str) -> bool:
-        """Whether a Cookie header contains the token."""
-        pairs = [part.strip().partition("=") for part in header[:4096].split(";")]
-        given = [value for name, _, value in pairs if name == self.cookie_name]
-        return len(given) == 1 and self.is_token(given[0])
+    def admits(self, key: object, code: object, now_s: float) -> bool:
+        """Whether the key is right, or the code is valid, which ends that. now_s: time of day."""
+        is_admitted, path = self.is_key(key), _file_of(self._folder, str(code))
+        with suppress(OSError):
+            is_valid = _is_valid(path, now_s)
+            path.unlink()  # of two that use the code at once, only one succeeds
+            is_admitted |= is_valid
+        return is_admitted
 
     def has_bearer(self, headers: list[str]) -> bool:
-        """Whether there is exactly one Authorization header, and this header has the token."""
+        """Whether there is exactly one Authorization header, and this header has the key."""
         scheme, _, given = headers[0].partition(" ") if len(headers) == 1 else ("", "", "")
-        return scheme.lower() == "bearer" and self.is_token(given.strip())
+        return scheme.lower() == "bearer" and self.is_key(given.strip())

@@ -10,6 +10,8 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 from typing import Any
 
+from audioflinger_hook.service.request_queue import RequestQueue
+
 CLIENTS_MAX = 8
 UNDER_WAY_MAX = 4  # frames; at 30 frames/s, enough for a round trip of 130 ms
 ANSWERS_MAX = 8
@@ -19,6 +21,7 @@ class Client:
     """The queue of one browser. Only the event loop's thread may use it."""
 
     def __init__(self) -> None:
+        self.requests = RequestQueue()  # waiting requests of the browser
         self.tries = False  # whether it plays an offset on trial
         self.overwritten = 0  # number of queued frames that a newer frame replaced
         self._newest: dict[str, str] = {}

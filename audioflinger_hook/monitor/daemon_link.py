@@ -3,8 +3,8 @@
 import asyncio
 import json
 import os
-from collections.abc import Awaitable, Callable, Mapping
-from contextlib import suppress
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from contextlib import asynccontextmanager, closing, suppress
 from typing import Any
 
 from audioflinger_hook.service.one_line import one_line
@@ -34,8 +34,7 @@ class DaemonLink:
         page: str,
         environ: Mapping[str, str] = os.environ,
     ) -> None:
-        self._tell = tell
-        self._pause_s = LINE_SHARE / rate_hz
+        self._tell, self._pause_s = tell, LINE_SHARE / rate_hz
         self._watch_request = {"ask": "watch", "rate_hz": rate_hz, "memory": True, "page": page}
         self._environ = environ
         self._control = asyncio.Lock()
@@ -53,20 +52,14 @@ class DaemonLink:
             answer: dict[str, Any] = {}
 
             async def ask() -> None:
-                reader, writer = await self._connect()
-                try:
-                    _send(writer, {**request, "ask": "control"})
+                async with self._asked({**request, "ask": "control"}) as reader:
                     answer.update(await _message(reader))
-                finally:
-                    writer.close()
 
             problem = await self._attempt(ask())
         return {"error": problem} if problem else answer
 
     async def _watch(self) -> None:
-        reader, writer = await self._connect()
-        try:
-            _send(writer, self._watch_request)
+        async with self._asked(self._watch_request) as reader:
             hello = await _message(reader)
             if "hello" not in hello:
                 raise UsageError(_other_version(hello))
@@ -76,19 +69,20 @@ class DaemonLink:
                     if isinstance(content, dict):
                         self._tell(kind, content)
                 await asyncio.sleep(self._pause_s)
-        finally:
-            writer.close()
 
-    async def _connect(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    @asynccontextmanager
+    async def _asked(self, request: Mapping[str, Any]) -> AsyncIterator[asyncio.StreamReader]:
+        """Send a request on a new connection; yield the reader of its answers."""
         with RuntimeFolder(self._environ, create=False) as folder:
             async with asyncio.timeout(SILENT_S):
                 address = folder.address(NAME)
                 reader, writer = await asyncio.open_unix_connection(address, limit=LINE_BYTES_MAX)
-        owner = peer_uid(writer.get_extra_info("socket"))
-        if owner != os.geteuid():
-            writer.close()
-            raise UsageError(f"the daemon runs as user {owner}; run the page as that user")
-        return reader, writer
+        with closing(writer):
+            owner = peer_uid(writer.get_extra_info("socket"))
+            if owner != os.geteuid():
+                raise UsageError(f"the daemon runs as user {owner}; run the page as that user")
+            writer.write(json.dumps({**request, "protocol": PROTOCOL}).encode() + b"\n")
+            yield reader
 
     async def _attempt(self, what: Awaitable[None]) -> str:
         try:
@@ -107,10 +101,6 @@ class DaemonLink:
         if text != self._told:
             self._told = text
             self._tell("link", {"connected": connected, "text": text})
-
-
-def _send(writer: asyncio.StreamWriter, request: Mapping[str, Any]) -> None:
-    writer.write(json.dumps({**request, "protocol": PROTOCOL}).encode() + b"\n")
 
 
 async def _message(reader: asyncio.StreamReader) -> dict[str, Any]:

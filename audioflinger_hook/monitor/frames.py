@@ -118,11 +118,9 @@ class Frames:
                 return
             with RuntimeFolder(self._environ, create=False) as folder:
                 flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-                file = os.open(name, flags, dir_fd=folder.fd)
-            try:
-                self._memory = mmap.mmap(file, 0, access=mmap.ACCESS_READ)
-            finally:
-                os.close(file)
+                file = os.fdopen(os.open(name, flags, dir_fd=folder.fd), "rb")
+            with file:
+                self._memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
             reader = ShownReader(self._memory, channels, actuators)
             self._reader = reader if reader.is_known else None
 

@@ -19,20 +19,25 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from audioflinger_hook.config.file import names_a_device
-from audioflinger_hook.monitor.access import Access, Listen
+from audioflinger_hook.monitor.access import Access, Listen, load_key
 from audioflinger_hook.monitor.clients import CLIENTS_MAX, Client, Clients
 from audioflinger_hook.monitor.daemon_link import DaemonLink
 from audioflinger_hook.monitor.figures import metrics_text
 from audioflinger_hook.monitor.frames import Frames
 from audioflinger_hook.service import autostart, install
 from audioflinger_hook.service.one_line import one_line
+from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from device.errors import CushionError, InternalError, UsageError
 
 MESSAGE_BYTES_MAX = 4096
-CONNECTIONS_MAX = 48  # further connections are closed immediately
-OPEN_S = 5.0  # timeout for the arrival of a request
+PENDING_MAX = 48  # connections that have not shown the key; a further one closes the oldest
+OPEN_S = 5.0  # timeout for the arrival of a request, and of the key
 PING_S = 20.0
 WRITE_BYTES = 16_384  # limit of a connection's write buffers, in this process and in the system
+READ_BYTES = 16_384  # limit of a connection's read buffer in the system
+METHOD_BYTES_MAX = 32
+NOT_ALLOWED = HTTPStatus.METHOD_NOT_ALLOWED, "the page takes GET and HEAD"
+MESSAGES_PER_S, BURST_S = 5_000, 1.0  # of all browsers; limits the CPU load
 CONTROL_PAUSE_S = 0.02  # pause after each request that is forwarded to the daemon
 
 SCRIPTS = (
@@ -59,47 +64,51 @@ SECURITY = {
     "X-Frame-Options": "DENY",
 }
 
-_REQUESTS = ("set", "application", "mute", "tone", "sync", "undo", "save")
-
 
 class PageServer:
     """Serves the page until `run` is cancelled. Only the event loop's thread may use it.
 
-    connections: number of open connections.
+    folder: has the key and the codes. clock: gives the time of day.
+    pending: connections that have not shown the key, the oldest first.
     """
 
     def __init__(
-        self, listen: Listen, token: str, rate_hz: float, environ: Mapping[str, str]
+        self,
+        listen: Listen,
+        folder: RuntimeFolder,
+        rate_hz: float,
+        clock: Callable[[], float],
+        environ: Mapping[str, str],
     ) -> None:
-        self._listen, self._token = listen, token
-        self._rate_hz, self._environ = rate_hz, environ
+        self._listen, self._folder, self._key = listen, folder, load_key(folder)
+        self._rate_hz, self._clock, self._environ = rate_hz, clock, environ
         self._clients = Clients()
-        self.connections = 0
-        folder = files("audioflinger_hook.monitor").joinpath("static")
+        self.pending: dict[_Connection, None] = {}
+        self._read_s = 0.0  # time at which the messages so far are read at MESSAGES_PER_S
+        static = files("audioflinger_hook.monitor").joinpath("static")
         self._files = {
-            path: (folder.joinpath(name).read_bytes(), kind) for path, (name, kind) in FILES.items()
+            path: (static.joinpath(name).read_bytes(), kind) for path, (name, kind) in FILES.items()
         }
 
-    async def run(self, on_ready: Callable[[str], None]) -> None:
-        """Serve the page; call `on_ready` with its URL. UsageError: the address cannot be used.
+    async def run(self, on_ready: Callable[[Listen], None]) -> None:
+        """Serve the page; call `on_ready` with its address.
 
-        InternalError: too many files are open.
+        UsageError: the address cannot be used. InternalError: too many files are open.
         """
         bound = _bound(self._listen)
         listen = Listen(self._listen.host, bound.getsockname()[1])
-        self._access = Access(listen, self._token)
-        address = f"http://{listen.shown_host}:{listen.port}/#{self._token}"
+        self._access = Access(listen, self._key, self._folder)
         frames = Frames(
             self._clients.tell, self._rate_hz, lambda: len(self._clients) > 0, self._environ
         )
-        self._link = DaemonLink(frames.take, self._rate_hz, address, self._environ)
+        self._link = DaemonLink(frames.take, self._rate_hz, listen.url, self._environ)
         logger = logging.getLogger("audioflinger_hook.monitor")
         logger.addHandler(logging.NullHandler())
         logger.propagate = False  # do not let an attacker fill the system's journal
         async with serve(
             self._converse,
             sock=bound,
-            process_request=self._answer,
+            process_request=self._respond,
             create_connection=partial(_Connection, self),  # type: ignore[arg-type]
             compression=None,
             max_size=MESSAGE_BYTES_MAX,
@@ -112,10 +121,17 @@ class PageServer:
             server_header=None,
             logger=logger,
         ):
-            on_ready(address)
+            on_ready(listen)
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._link.run())
                 tasks.create_task(frames.run())
+
+    def _respond(self, connection: ServerConnection, request: Request) -> Response | None:
+        response = self._answer(connection, request)
+        if isinstance(connection, _Connection) and connection.method == b"HEAD":
+            response = response or _text(*NOT_ALLOWED)  # a HEAD request opens no websocket
+            response.body = b""
+        return response
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return the response to a request, or None to accept the live connection."""
@@ -125,39 +141,39 @@ class PageServer:
         refusal = access.refuse_host(hosts, str(connection.local_address[0]))
         if refusal := refusal or access.refuse_origin(origins, hosts[0], needed=path == "/live"):
             return _text(HTTPStatus.FORBIDDEN, refusal)
+        if path == "/live":
+            return None
         if path in self._files:
             return _response(HTTPStatus.OK, *self._files[path])
-        if path not in ("/session", "/metrics", "/live"):
-            if any(sign in path for sign in ("..", "%", "\\", "//")):
-                return _text(HTTPStatus.FORBIDDEN, "this path is refused")
-            return _text(HTTPStatus.NOT_FOUND, "there is no such page")
-        cookie = access.has_cookie("; ".join(headers.get_all("Cookie")))
-        bearer = access.has_bearer(headers.get_all("Authorization"))
-        if path == "/session" and bearer:
-            response = _response(HTTPStatus.NO_CONTENT, b"", "text/plain")
-            response.headers["Set-Cookie"] = access.cookie
-            return response
-        if path == "/metrics" and (cookie or bearer):
-            return _response(HTTPStatus.OK, metrics_text(self._clients), CONTENT_TYPE_LATEST)
-        if path == "/metrics" or not cookie:
-            needed = "the token is missing or wrong; open the address that `cushion monitor` prints"
+        if path == "/metrics":
+            if access.has_bearer(headers.get_all("Authorization")):
+                return _response(HTTPStatus.OK, metrics_text(self._clients), CONTENT_TYPE_LATEST)
+            needed = "the key is missing or wrong; send the key of the file page.token as a bearer"
             return _text(HTTPStatus.FORBIDDEN, needed)
-        if len(self._clients) >= CLIENTS_MAX:
-            reason = f"{CLIENTS_MAX} pages are open already; close one of them"
-            return _text(HTTPStatus.SERVICE_UNAVAILABLE, reason)
-        return None if path == "/live" else _response(HTTPStatus.NO_CONTENT, b"", "text/plain")
+        if any(sign in path for sign in ("..", "%", "\\", "//")):
+            return _text(HTTPStatus.FORBIDDEN, "this path is refused")
+        return _text(HTTPStatus.NOT_FOUND, "there is no such page")
 
     async def _converse(self, connection: ServerConnection) -> None:
-        if len(self._clients) >= CLIENTS_MAX:  # other browsers connected since the first check
-            await connection.close(1013, "too many pages are open")
+        if refusal := await self._refuse(connection):
+            await connection.close(*refusal)
             return
+        assert isinstance(connection, _Connection)
+        self.pending.pop(connection, None)
         client = self._clients.add()
+        client.answer(json.dumps({"key": self._access.key}))
         sending = asyncio.ensure_future(client.send_all(connection.send))
+        asking = asyncio.ensure_future(self._carry_out(client))
         try:
             async for message in connection:
-                if not await self._take(client, message):
+                if not _take(client, message):
                     await connection.close(1008, "this message is refused")
-                    return
+                    break
+                if asking.done():
+                    asking = asyncio.ensure_future(self._carry_out(client))
+                now_s = asyncio.get_running_loop().time()
+                self._read_s = max(self._read_s + 1 / MESSAGES_PER_S, now_s - BURST_S)
+                await asyncio.sleep(max(0.0, self._read_s - now_s))
         except ConnectionClosed:
             pass
         finally:
@@ -165,31 +181,37 @@ class PageServer:
             sending.cancel()
             with suppress(asyncio.CancelledError, ConnectionClosed):
                 await sending
+            await asyncio.wait({asking}, timeout=3.0)
+            asking.cancel()
             if client.tries:
                 await self._link.control({"sync": {"try_ms": None}})
 
-    async def _take(self, client: Client, message: str | bytes) -> bool:
-        """Process a browser's message; return whether the message is valid."""
-        asked = None
-        with suppress(ValueError, RecursionError):
-            asked = json.loads(message) if isinstance(message, str) else None
-        if not isinstance(asked, dict):
-            return False
-        if type(asked.get("ack")) is int:
-            client.acknowledge(asked["ack"])
-            return True
-        if type(asked.get("id")) is not int:
-            return False
-        request = {name: asked[name] for name in _REQUESTS if name in asked}
-        if "autostart" in asked:
-            answer = await asyncio.to_thread(self._start_at_login, asked["autostart"])
-        else:
-            answer = await self._link.control(request)
-            if isinstance(sync := request.get("sync"), dict):
-                client.tries = sync.get("try_ms") is not None
-        client.answer(json.dumps({"id": asked["id"], "answer": answer}))
-        await asyncio.sleep(CONTROL_PAUSE_S)
-        return True
+    async def _refuse(self, connection: ServerConnection) -> tuple[int, str] | None:
+        """Return why a connection is closed, as code and text; None if it shows a key or code."""
+        shown = None
+        with suppress(TimeoutError, ConnectionClosed):
+            async with asyncio.timeout(OPEN_S):
+                shown = _document(await connection.recv())
+        if shown is None:
+            return 1008, "this message is refused"
+        if len(self._clients) >= CLIENTS_MAX:
+            return 1013, f"{CLIENTS_MAX} pages are open already; close one of them"
+        if not self._access.admits(shown.get("key"), shown.get("code"), self._clock()):
+            return 1008, self._access.advice
+        return None
+
+    async def _carry_out(self, client: Client) -> None:
+        """Carry out the waiting requests of a browser."""
+        while waiting := client.requests.take():
+            request, answer_by = waiting
+            if request.keys() == {"autostart"}:
+                answer = await asyncio.to_thread(self._start_at_login, request["autostart"])
+            else:
+                answer = await self._link.control(request)
+                if isinstance(sync := request.get("sync"), dict):
+                    client.tries = sync.get("try_ms") is not None
+            answer_by(answer)
+            await asyncio.sleep(CONTROL_PAUSE_S)
 
     def _start_at_login(self, on: object) -> dict[str, Any]:
         """Switch the start at login on or off, or only report it if `on` is None.
@@ -210,24 +232,66 @@ class PageServer:
 
 
 class _Connection(ServerConnection):
-    """A connection with a small write buffer. `PageServer.connections` counts open connections."""
+    """A connection with a small write buffer. Unlike the library, it knows methods beside GET.
+
+    method: the request's method; b"" until it is known.
+    """
 
     def __init__(self, server: PageServer, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
-        self._page_server = server
+        self._pending = server.pending
+        self._begin = self.method = b""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         own = transport.get_extra_info("socket")
         own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WRITE_BYTES)
         super().connection_made(transport)
-        self._page_server.connections += 1
-        if self._page_server.connections > CONNECTIONS_MAX:
-            assert isinstance(transport, asyncio.Transport)
-            transport.abort()
+        if len(self._pending) >= PENDING_MAX:
+            oldest = next(iter(self._pending))
+            del self._pending[oldest]
+            oldest.transport.abort()
+        self._pending[self] = None
+
+    def data_received(self, data: bytes) -> None:
+        if not self.method:
+            data = self._begin = self._begin + data
+            method, space, rest = data.partition(b" ")
+            if not space and len(data) < METHOD_BYTES_MAX:
+                return  # the method may be incomplete
+            self.method = method or b" "  # never empty again
+            if method == b"HEAD":
+                data = b"GET " + rest
+            elif method != b"GET":
+                self.transport.write(_text(*NOT_ALLOWED).serialize())
+                self.transport.write_eof()
+        if self.method in (b"GET", b"HEAD"):
+            super().data_received(data)
 
     def connection_lost(self, error: Exception | None) -> None:
-        self._page_server.connections -= 1
+        self._pending.pop(self, None)
         super().connection_lost(error)
+
+
+def _document(message: str | bytes) -> dict[str, Any] | None:
+    """Return a message's JSON object; None if it has none."""
+    found = None
+    with suppress(ValueError, RecursionError):
+        found = json.loads(message) if isinstance(message, str) else None
+    return found if isinstance(found, dict) else None
+
+
+def _take(client: Client, message: str | bytes) -> bool:
+    """Take a browser's message; return whether it is valid."""
+    asked = _document(message) or {}
+    if type(asked.get("ack")) is int:
+        client.acknowledge(asked["ack"])
+        return True
+    number = asked.pop("id", None)
+    if type(number) is int:
+        client.requests.put(
+            asked, lambda answer: client.answer(json.dumps({"id": number, "answer": answer}))
+        )
+    return type(number) is int
 
 
 def _bound(listen: Listen) -> socket.socket:
@@ -238,8 +302,9 @@ def _bound(listen: Listen) -> socket.socket:
         with ExitStack() as stack:
             bound = stack.enter_context(socket.socket(family, socket.SOCK_STREAM))
             bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, READ_BYTES)
             bound.bind(address)
-            bound.listen(CONNECTIONS_MAX)
+            bound.listen(PENDING_MAX)
             stack.pop_all()
         return bound
     except OSError as error:
@@ -256,6 +321,7 @@ def _bound(listen: Listen) -> socket.socket:
 
 def _response(status: HTTPStatus, body: bytes, kind: str) -> Response:
     own = {"Content-Type": kind, "Content-Length": str(len(body)), "Connection": "close"}
+    own["Allow"] = "GET, HEAD"
     return Response(status.value, status.phrase, Headers(SECURITY | own), body)
 
 

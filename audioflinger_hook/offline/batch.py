@@ -1,13 +1,17 @@
 """Worker processes that execute batches of work, and a function that renders files with them."""
 
 import multiprocessing
+import multiprocessing.util
 import os
 import signal
+import tempfile
 import threading
+import warnings
 from collections.abc import Callable, Iterator, MutableSequence, Sequence
-from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import BrokenExecutor, CancelledError, Future, ProcessPoolExecutor, wait
+from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from itertools import islice
 from multiprocessing import connection, forkserver
 from pathlib import Path
@@ -17,13 +21,27 @@ from typing import Any, Self, TypeVar
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.render import RenderReport, render_file
 from audioflinger_hook.sources.tap import named
-from device.errors import CushionError, InternalError, UsageError
+from device.errors import CushionError, InternalError, UsageError, unexpected
 from device.interruption import repeat_lost_interruptions
+from device.memory_limit import respect_memory_limit
+from device.temporary_folder import delete_abandoned_folders, temporary_folder
 
 T = TypeVar("T")
 
 WORKERS_MAX = 256
+STARTS_MAX, START_S = 20, 0.02  # attempts to start workers, and the time between two attempts
+SOCKET_FOLDER_BYTES = 50  # the path of a socket is shorter than 108 bytes
 DIED = "for lack of memory or by a fault of a decoder; look at the file and the machine's log"
+NO_SERVER = "because the process that starts workers was killed from outside; run it again"
+ENDED = "by SIGTERM from outside; run it again"
+
+# Exit codes of workers, the most telling one first, and why such a worker died. 255: unknown to
+# `multiprocessing`. 1: SIGTERM, which the executor also sends to all workers after a death.
+_DEATHS = {
+    -signal.SIGKILL: "by SIGKILL, from outside or for lack of memory; look at the machine's log",
+    255: NO_SERVER,
+    1: ENDED,
+}
 
 _shares: MutableSequence[float] = []  # in a worker process: `LocalWorkers.shares`
 _is_ended = False  # in a worker process: SIGTERM came
@@ -51,6 +69,10 @@ class Place:
         """Return whether `error` means that a worker died; `submit` still works after that."""
         return False
 
+    def death(self) -> str:
+        """Return why a worker has just died."""
+        return DIED
+
     def __enter__(self) -> Self:
         return self
 
@@ -70,17 +92,9 @@ class LocalWorkers(Place):
         # Workers already use all cores, so BLAS threads would compete for them.
         for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
             os.environ.setdefault(name, "1")
-        # The forkserver imports everything once and forks workers, which start quickly. Forks of
-        # this process would inherit the locks of its threads.
-        self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload([preload])
-        # SIGHUP must end only this process, which then ends the forkserver and the workers.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGHUP,))
-        try:
-            forkserver.ensure_running()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        self.shares: MutableSequence[float] = self._context.RawArray("d", items)
+        self._preload = preload
+        delete_abandoned_folders()
+        self.shares: MutableSequence[float] = multiprocessing.RawArray("d", items)
         self._pool = self._new_pool()
 
     def slots(self) -> int:
@@ -89,27 +103,74 @@ class LocalWorkers(Place):
 
     def submit(self, work: Callable[..., T], *arguments: Any) -> Future[T]:
         """Start or queue a batch in one of the processes."""
-        try:
-            return self._pool.submit(_unless_ended, work, *arguments)
-        except BrokenExecutor:
-            self._pool.shutdown(wait=True, cancel_futures=True)
-            self._pool = self._new_pool()
-            return self._pool.submit(_unless_ended, work, *arguments)
+        for _ in range(STARTS_MAX):
+            try:
+                return self._pool.submit(_unless_ended, work, *arguments)
+            except (BrokenExecutor, OSError, EOFError) as error:  # a process or the forkserver died
+                found = error
+                self._pool.shutdown(wait=True, cancel_futures=True)
+                threading.Event().wait(START_S)  # the forkserver may still be dying
+                self._pool = self._new_pool()
+        raise InternalError(
+            f"workers cannot be started ({found}); run the command again"
+        ) from found
 
     def lost_worker(self, error: BaseException) -> bool:
         """Return whether `error` means that a process died."""
-        return isinstance(error, BrokenExecutor)
+        return isinstance(error, (BrokenExecutor, CancelledError))
+
+    def death(self) -> str:
+        """Wait for the end of all processes, and return why one has died."""
+        self._pool.shutdown(wait=True, cancel_futures=True)
+        codes = {process.exitcode for process in self._processes.values()}
+        by_itself = codes - {None, 0, -signal.SIGTERM, *_DEATHS}
+        known = [reason for code, reason in _DEATHS.items() if code in codes]
+        return DIED if by_itself or not known else known[0]
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         if kind is not None:
-            # Terminate the running items. Results appear only when complete, so no partial result
-            # remains.
+            # End the running items. Results appear only when complete, so no partial one remains.
             for process in list((self._pool._processes or {}).values()):
                 process.terminate()
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def _new_pool(self) -> ProcessPoolExecutor:
-        return ProcessPoolExecutor(self._count, self._context, _begin_worker, (self.shares,))
+        # The forkserver imports everything once and forks workers, which start quickly. A fork of
+        # this process would inherit the locks of its threads, but costs less for one worker.
+        is_fork = self._count == 1 and threading.active_count() == 1
+        if not is_fork:
+            multiprocessing.get_context("forkserver").set_forkserver_preload([self._preload])
+            _prepare_sockets()
+            # SIGHUP must end only this process, which then ends the forkserver and the workers.
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGHUP,))
+            try:
+                forkserver.ensure_running()
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        context = multiprocessing.get_context("fork" if is_fork else "forkserver")
+        pool = ProcessPoolExecutor(self._count, context, _begin_worker, (self.shares,))
+        if is_fork:
+            with warnings.catch_warnings():  # the threads of OpenBLAS allow a fork
+                warnings.simplefilter("ignore", DeprecationWarning)
+                pool.submit(usable_cores).result()
+        assert pool._processes is not None
+        self._processes = pool._processes  # filled later, in the case of a forkserver
+        return pool
+
+
+@cache
+def _prepare_sockets() -> None:
+    """Let `multiprocessing` put its sockets into a folder that a later run would delete."""
+    is_long = len(os.fsencode(tempfile.gettempdir())) > SOCKET_FOLDER_BYTES
+    opened = ExitStack()
+    # Priority -100 is that of `multiprocessing`, which deletes its folder within this one.
+    multiprocessing.util.Finalize(None, opened.close, exitpriority=-101)
+    folder = opened.enter_context(temporary_folder("/tmp" if is_long else None))
+    before, tempfile.tempdir = tempfile.tempdir, str(folder)
+    try:
+        multiprocessing.util.get_temp_dir()
+    finally:
+        tempfile.tempdir = before
 
 
 def report_share_to_pool(item: int, share: float) -> None:
@@ -124,6 +185,7 @@ def _begin_worker(shares: MutableSequence[float]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     repeat_lost_interruptions()
+    respect_memory_limit()
 
     def end_with_parent() -> None:
         if parent := multiprocessing.parent_process():
@@ -249,11 +311,10 @@ def render_files(
                 try:
                     came = result(futures.pop(item), alone=False)
                 except BrokenExecutor:
-                    # It is unknown which file killed the process, so each running file is retried
-                    # alone.
+                    # It is unknown which file killed the process: retry each running file alone.
                     came = result(submit(item), alone=True)
             except BrokenExecutor:
-                died = InternalError(f"{sources[item]}: its process died twice, {DIED}")
+                died = InternalError(f"{sources[item]}: its process died twice, {pool.death()}")
                 came = _failed(sources[item], targets[item], died)
             yield came
 
@@ -270,8 +331,7 @@ def _try_file(
     except CushionError as error:
         return _failed(source, target, named(error, source))
     except Exception as error:
-        said = f"{type(error).__name__}: {error}; this is a fault of cushion, please report it"
-        return _failed(source, target, InternalError(f"{source}: {said}"))
+        return _failed(source, target, named(unexpected(error), source))
 
 
 def _failed(source: Path, target: Path, error: CushionError) -> Rendered:

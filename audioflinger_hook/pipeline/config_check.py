@@ -4,7 +4,6 @@ from pathlib import Path
 
 from audioflinger_hook.config.file import Config, check
 from audioflinger_hook.config.profiles import LIVE_DEFAULT
-from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.config.toml_text import Mistake
 from audioflinger_hook.pipeline.framework import Framework
 from device.errors import UsageError
@@ -19,16 +18,12 @@ def find_mistakes(path: Path) -> tuple[Config | None, list[str], list[Mistake]]:
     UsageError: the file cannot be read or is not text.
     """
     found, mistakes = check(path, LIVE_DEFAULT)
-    warnings, wrong = _problems_of_effects(found.settings) if found else ([], [])
-    return found, warnings, mistakes + wrong
-
-
-def _problems_of_effects(settings: Settings) -> tuple[list[str], list[Mistake]]:
-    path = settings.effects_file
-    if path is None:
-        return [], []
-    try:
-        return Framework(SAMPLERATE, 2, settings).warnings, []
-    except UsageError as error:
-        allowed = "an audio_effects.xml that applies the haptic effect"
-        return [], [Mistake("effects_file", 0, f'"{path}"', f"cannot be used: {error}", allowed)]
+    warnings: list[str] = []
+    if found and (effects := found.settings.effects_file):
+        try:
+            warnings = Framework(SAMPLERATE, 2, found.settings).warnings
+        except UsageError as error:
+            why = f"cannot be used: {error}"
+            allowed = "an audio_effects.xml that applies the haptic effect"
+            mistakes = [Mistake("effects_file", 0, f'"{effects}"', why, allowed)]
+    return found, warnings, mistakes

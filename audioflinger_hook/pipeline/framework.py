@@ -9,14 +9,8 @@ from numpy.typing import NDArray
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.drive.drive import Drive
+from audioflinger_hook.effect import haptic_parameters
 from audioflinger_hook.effect.chain import BUDGET_SHARE, EffectChains
-from audioflinger_hook.effect.haptic_parameters import (
-    DRAIN,
-    GLIDES,
-    HAPTIC_CUSHION,
-    PRINCIPAL,
-    from_settings,
-)
 from audioflinger_hook.effect.interface import OK, Command, Values
 from audioflinger_hook.effect.module import BlockWatch, EffectModule
 from audioflinger_hook.effect.registry import EffectRegistry
@@ -58,8 +52,7 @@ class Framework:
         clock: Callable[[], float] | None = None,
         standby_delay_s: float = math.inf,
     ) -> None:
-        self.settings = settings or Settings()
-        self.samplerate = samplerate
+        self.settings, self.samplerate = settings or Settings(), samplerate
         self.warnings: list[str] = []
         each = self.settings.channels == "each"
         self.haptic_channels = channels if each else max(1, len(self.settings.sources))
@@ -107,12 +100,12 @@ class Framework:
     @property
     def principal(self) -> tuple[tuple[float, float, float], ...]:
         """Partials of the latest hop, as in `HapticTransform.principal`. Any thread may read it."""
-        status, partials = self.haptic.command(PRINCIPAL)
+        status, partials = self.haptic.command(haptic_parameters.PRINCIPAL)
         return partials if status == OK and isinstance(partials, tuple) else ()
 
     def take_glides(self) -> NDArray[np.float64]:
         """Return the glides since the last call; see `HapticTransform.take_glides`."""
-        return self._array(GLIDES)
+        return self._array(haptic_parameters.GLIDES)
 
     def change(self, settings: Settings) -> None:
         """Apply new transform parameters or a new gain from the next cycle on, but nothing else.
@@ -130,7 +123,7 @@ class Framework:
 
     def drain(self) -> NDArray[np.float32]:
         """Return the vibration that the effect still holds. InternalError: see `check_haptics`."""
-        return self._array(DRAIN)
+        return self._array(haptic_parameters.DRAIN)
 
     def check_haptics(self) -> None:
         """Raise InternalError if the haptic effect is bypassed: a file would lack vibration."""
@@ -164,19 +157,20 @@ class Framework:
                 self.warnings.append(f"effect {uuid} is left out: {error}")
                 continue
             module.enable()
-            if uuid == HAPTIC_CUSHION.uuid:
+            if uuid == haptic_parameters.HAPTIC_CUSHION.uuid:
                 haptic = module
         if haptic is None:
             why = f" ({'; '.join(self.warnings)})" if self.warnings else ""
             raise UsageError(
-                f"{path} does not apply the haptic effect ({HAPTIC_CUSHION.uuid}) to the stream "
+                f"{path} does not apply the haptic effect "
+                f"({haptic_parameters.HAPTIC_CUSHION.uuid}) to the stream "
                 f"{OUTPUT_MIX_STREAM!r}{why}; without it there is no vibration"
             )
         return haptic
 
     @staticmethod
     def _parameters(settings: Settings) -> Values:
-        parameters = from_settings(settings)
+        parameters = haptic_parameters.from_settings(settings)
         # The vibration of the reference form has the paper's values, so it is not clipped.
         parameters["clip"] = settings.form != "reference"
         return parameters
@@ -236,9 +230,8 @@ def simulated_rig_of(
     """Return a simulated rig for these channels. UsageError: a rig is unknown or invalid."""
     names = [actuator.rig or settings.rig for actuator in settings.actuators]
     rigs = [rig_by_name(name) for name in names or [settings.rig] * channel_map.actuators]
-    connected = [None if source is None else rigs[source] for source in channel_map.sources]
     return SimulatedRig(
-        connected,
+        [None if source is None else rigs[source] for source in channel_map.sources],
         samplerate,
         recorder=recorder,
         tolerance=settings.tolerance,

@@ -52,8 +52,7 @@ class RealTimePace:
     """Computes how long to wait, for playback in real time. start_s: time of the start."""
 
     def __init__(self, samplerate: int, start_s: float) -> None:
-        self._samplerate = samplerate
-        self._start_s = start_s
+        self._samplerate, self._start_s = samplerate, start_s
 
     def wait_s(self, frames: int, now_s: float) -> float:
         """Return the seconds until `frames` frames have been played; 0 if that time has passed."""
@@ -66,9 +65,7 @@ class Pipeline:
     def __init__(
         self, client: Client, framework: Framework, outputs: Sequence[VibrationOutput]
     ) -> None:
-        self._client = client
-        self._framework = framework
-        self._outputs = tuple(outputs)
+        self._client, self._framework, self._outputs = client, framework, tuple(outputs)
         self._sink = HapticSink(*outputs, clip=framework.settings.form != "reference")
         self._ended = False
         framework.mixer.sinks = (self._sink,)

@@ -12,7 +12,17 @@ from device.errors import NotFoundError
 
 INPUT, OUTPUT, CONTROL, AUDIO = 1, 2, 4, 8
 TOGGLED = 0x4
-OF_THE_DAEMON = "haptic_cushion_daemon"
+
+DESCRIPTION = "haptic_cushion.ttl"
+PREFIX = "urn:haptic-cushion:"
+LATENCY = "latency"
+_PREFIXES = """\
+@prefix doap:  <http://usefulinc.com/ns/doap#> .
+@prefix lv2:   <http://lv2plug.in/ns/lv2core#> .
+@prefix rdfs:  <http://www.w3.org/2000/01/rdf-schema#> .
+@prefix units: <http://lv2plug.in/ns/extensions/units#> .
+"""
+_UNITS = {"dB": "units:db", "ms": "units:ms", "dBFS": "units:db"}
 
 
 class _Range(ctypes.Structure):
@@ -74,24 +84,9 @@ def public_variants(plugin: Path) -> tuple[PluginVariant, ...]:
         for port in range(shown.port_count):
             name, kind = shown.port_names[port].decode(), shown.port_descriptors[port]
             limits = shown.port_ranges[port]
-            toggled = bool(limits.hint & TOGGLED)
-            ports.append(Port(name, kind, toggled, limits.lower, limits.upper))
+            ports.append(Port(name, kind, bool(limits.hint & TOGGLED), limits.lower, limits.upper))
         variants.append(PluginVariant(shown.label.decode(), shown.name.decode(), tuple(ports)))
-    return tuple(variant for variant in variants if variant.label != OF_THE_DAEMON)
-
-
-DESCRIPTION = "haptic_cushion.ttl"
-PREFIX = "urn:haptic-cushion:"
-LATENCY = "latency"
-
-_PREFIXES = """\
-@prefix doap:  <http://usefulinc.com/ns/doap#> .
-@prefix lv2:   <http://lv2plug.in/ns/lv2core#> .
-@prefix rdfs:  <http://www.w3.org/2000/01/rdf-schema#> .
-@prefix units: <http://lv2plug.in/ns/extensions/units#> .
-"""
-
-_UNITS = {"dB": "units:db", "ms": "units:ms", "dBFS": "units:db"}
+    return tuple(variant for variant in variants if variant.label != "haptic_cushion_daemon")
 
 
 def manifest(variants: Sequence[PluginVariant], marker: str) -> str:
@@ -127,10 +122,11 @@ def _plugin(variant: PluginVariant) -> str:
 def _port(index: int, port: Port) -> str:
     direction = "lv2:InputPort" if port.kind & INPUT else "lv2:OutputPort"
     kind = "lv2:AudioPort" if port.kind & AUDIO else "lv2:ControlPort"
+    symbol = re.sub(r"\W+", "_", port.name.partition(" (")[0].lower())  # gain for "Gain (dB)"
     lines = [
         f"a {direction} , {kind}",
         f"lv2:index {index}",
-        f'lv2:symbol "{symbol(port.name)}"',
+        f'lv2:symbol "{symbol}"',
         f'lv2:name "{port.name}"',
     ]
     if port.kind & CONTROL and port.kind & INPUT:
@@ -144,10 +140,4 @@ def _port(index: int, port: Port) -> str:
     unit = re.search(r"\((\w+)\)", port.name)
     if unit:
         lines.append(f"units:unit {_UNITS[unit[1]]}")
-    body = " ;\n        ".join(lines)
-    return f"[\n        {body}\n    ]"
-
-
-def symbol(name: str) -> str:
-    """Return the LV2 symbol for a port's name, such as "gain" for "Gain (dB)"."""
-    return re.sub(r"\W+", "_", name.partition(" (")[0].lower())
+    return "[\n        " + " ;\n        ".join(lines) + "\n    ]"

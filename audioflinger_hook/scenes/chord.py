@@ -54,8 +54,7 @@ def _piano(
 
     strings = np.zeros((frames, 2))
     for number in range(1, 13):
-        stretch = number * np.sqrt(1.0 + INHARMONICITY * number**2)
-        partial_hz = frequency_hz * stretch
+        partial_hz = frequency_hz * (number * np.sqrt(1.0 + INHARMONICITY * number**2))
         if partial_hz > min(7000.0, 0.4 * samplerate):
             break
         decay_s = 6.0 / (1.0 + 0.35 * (number - 1)) * (220.0 / (220.0 + frequency_hz)) ** 0.4

@@ -28,6 +28,7 @@ from device.units import Float32Array
 
 DEMO_DURATION_S = 15.0
 SAMPLERATE = 48_000  # samplerate of the mix, Hz
+_SEED = 2718
 
 # The annotation is a string, so that this module does not import numpy.random.
 Voice: TypeAlias = "Callable[[int, np.random.Generator, float], Float32Array]"
@@ -38,11 +39,9 @@ Voice: TypeAlias = "Callable[[int, np.random.Generator, float], Float32Array]"
 class SceneTrack:
     """One sound of a scene.
 
-    name: name of the sound. samplerate: Hz.
-    frames: (frames, channels), full scale 1.
-    start_s: seconds from the start of the scene.
-    pcm_format: sample format of the track.
-    pause_s: start and end of a pause in seconds from the start of the scene, or None.
+    name: name of the sound. samplerate: Hz. frames: (frames, channels), full scale 1. start_s:
+    seconds from the start of the scene. pcm_format: sample format of the track. pause_s: start and
+    end of a pause in seconds from the start of the scene, or None.
     """
 
     name: str
@@ -111,8 +110,6 @@ DEMO_TRACKS = (
     DemoTrack("explosion", explosion, 9.85, 0.86, 48_000, PcmFormat.FLOAT),
     DemoTrack("chord", chord, 11.70, 0.60, 96_000, PcmFormat.I32),
 )
-
-_SEED = 2718
 
 
 def demo_scene() -> Scene:

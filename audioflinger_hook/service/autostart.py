@@ -47,8 +47,7 @@ def set_on(
     if on and not has_systemd():
         install.replace_own(_entry(environ), MARK, daemon_entry(program))
         return
-    unit = install.installed_text(environ)  # refuses a unit of another program
-    if on and unit is None:
+    if install.installed_text(environ) is None and on:  # refuses a unit of another program
         install.install(["--wait"], program, environ, install.systemd_version())
     (_enable if on else remove_file)(_link(environ))
     install.replace_own(_entry(environ), MARK, None)  # so that the daemon does not start twice

@@ -14,8 +14,6 @@ from device.errors import UsageError
 NAME = "haptic-cushion"  # name of the icon and, with .desktop, of the menu's entry
 MARK = "# Written by `cushion`."  # first line of every entry of this program
 
-_RESERVED = re.compile(r"[^\w@%+=:,./-]", re.ASCII)
-
 
 def exec_line(command: Sequence[str]) -> str:
     """Return a command as the value of the key Exec. UsageError: a word has a control character."""
@@ -29,11 +27,10 @@ def _word(word: str) -> str:
             "install the program in another folder"
         )
     word = word.replace("%", "%%")
-    if word and not _RESERVED.search(word):
+    if re.fullmatch(r"[\w@%+=:,./-]+", word, re.ASCII):
         return word
-    quoted = re.sub(r'(["`$\\])', r"\\\1", word)
     # Values of this format have a second level of escapes.
-    return '"' + quoted.replace("\\", "\\\\") + '"'
+    return '"' + re.sub(r'(["`$\\])', r"\\\1", word).replace("\\", "\\\\") + '"'
 
 
 def page_entry(program: Sequence[str] = ("cushion",)) -> str:
@@ -51,8 +48,7 @@ Keywords=haptics;vibration;shaker;bass;
 
 def daemon_entry(program: Sequence[str]) -> str:
     """Return the entry that starts the daemon at login on machines without systemd."""
-    command = [*program, "run", "--wait"]
-    return _entry("Turns sound into vibration", command, "NoDisplay=true\n")
+    return _entry("Turns sound into vibration", [*program, "run", "--wait"], "NoDisplay=true\n")
 
 
 def _entry(comment: str, command: Sequence[str], more: str) -> str:

@@ -159,8 +159,7 @@ def gathered(kind: type[T], *sources: object, **given: Any) -> T:
     """
     for name, known, _ in table(kind):
         read = known.read or name
-        first = read.partition(".")[0]
-        source = next((one for one in sources if hasattr(one, first)), None)
+        source = next((one for one in sources if hasattr(one, read.partition(".")[0])), None)
         if name not in given and source is not None:
             value = attrgetter(read)(source)
             given[name] = value if known.scale is None or value is None else known.scale * value

@@ -19,6 +19,8 @@ LONGEST_S = 10.0  # about the upper edge of the last bin, which also counts long
 STEP = 1.04  # ratio of the edges of a bin, which limits the error of percentiles to 4 %
 BINS = math.ceil(math.log(LONGEST_S / SHORTEST_S) / math.log(STEP)) + 1
 _BINS_PER_E = 1.0 / math.log(STEP)
+TIME_BOUNDS_S = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2)  # bins for Prometheus
+_BOUND_BINS = [math.ceil(math.log(bound / SHORTEST_S) * _BINS_PER_E) for bound in TIME_BOUNDS_S]
 _BELOW = math.pow(10.0, (FLOOR_DBFS - 1.0) / 20.0)
 
 
@@ -116,10 +118,6 @@ class BufferedLevelMeter:
         self._blocks, self._frames = [], 0
         self.loudest = 0.0
         self.meter.reset()
-
-
-TIME_BOUNDS_S = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2)  # bins for Prometheus
-_BOUND_BINS = [math.ceil(math.log(bound / SHORTEST_S) * _BINS_PER_E) for bound in TIME_BOUNDS_S]
 
 
 @dataclass(frozen=True)

@@ -31,13 +31,11 @@ class RuntimeFolder(contextlib.AbstractContextManager["RuntimeFolder"]):
     If the variable is not set, the path is `/run/user/UID/cushion`. Without `/run/user/UID`, the
     path is `cushion-UID` in the folder for temporary files.
 
-    create: whether to create a missing folder.
-    path: path at the time of opening.
-    fd: file descriptor, which refers to the same folder even after a rename.
+    create: whether to create a missing folder. path: path at the time of opening. fd: file
+    descriptor, which refers to the same folder even after a rename.
 
     UsageError: the variable is not a usable path, or the folder is a link, has another owner, or
-    is accessible to other users. NotFoundError: the folder does not exist. InternalError: the disk
-    or the system failed.
+    is open to others. NotFoundError: it does not exist. InternalError: the disk or system failed.
     """
 
     def __init__(self, environ: Mapping[str, str], create: bool) -> None:
@@ -164,7 +162,13 @@ def folder_path(environ: Mapping[str, str]) -> Path:
         if base.is_absolute() and base.is_dir():
             return base / FOLDER_NAME
     if not text:
-        return Path(environ.get("TMPDIR") or "/tmp") / f"{FOLDER_NAME}-{user}"
+        above = Path(environ.get("TMPDIR") or "/tmp")
+        if above.is_dir():
+            return above / f"{FOLDER_NAME}-{user}"
+        raise UsageError(
+            f"{VARIABLE} is not set, and TMPDIR is '{above}', which is not a folder; set one of "
+            "them to a folder of your own, for the daemon's lock and status socket"
+        )
     raise UsageError(
         f"{VARIABLE} is {text!r}, not an absolute path of a folder; set it to a folder of your "
         f"own, usually /run/user/{user}, for the daemon's lock and status socket"

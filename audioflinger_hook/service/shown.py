@@ -47,8 +47,7 @@ def level(one: Level) -> str:
     """Return a level as a bar and as numbers in dBFS."""
     if one.peak_dbfs <= FLOOR_DBFS:
         return f"{bar(one)} silence"
-    rms_dbfs = max(FLOOR_DBFS, one.rms_dbfs)
-    return f"{bar(one)} peak {one.peak_dbfs:6.1f}, rms {rms_dbfs:6.1f} dBFS"
+    return f"{bar(one)} peak {one.peak_dbfs:6.1f}, rms {max(FLOOR_DBFS, one.rms_dbfs):6.1f} dBFS"
 
 
 def endpoint(one: Endpoint) -> str:

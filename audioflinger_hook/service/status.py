@@ -9,6 +9,8 @@ from audioflinger_hook.service.figure import Row, figure, rows
 from audioflinger_hook.service.meters import BufferTimes, Level
 from audioflinger_hook.service.state import Cause, DaemonState
 
+PART, XRUNS = "cushion_delay_part_seconds{part}", "cushion_xruns{stream}"  # metrics
+
 
 @dataclass(frozen=True)
 class Endpoint:
@@ -73,9 +75,6 @@ class Application:
     )
 
 
-PART = "cushion_delay_part_seconds{part}"
-
-
 @dataclass(frozen=True)
 class LatencyBudget:
     """Parts of the delay between a sound and its vibration."""
@@ -119,9 +118,6 @@ class DelayLineFigures:
     )
     overflows: int = figure("how often the delay line lost frames", 0)
     state: str = figure("state of the delay line", "empty", read="state.value", show="{}")
-
-
-XRUNS = "cushion_xruns{stream}"
 
 
 @dataclass(frozen=True)

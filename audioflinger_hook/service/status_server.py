@@ -86,10 +86,8 @@ class StatusServer:
 
     read: returns the status. The server's threads call it; an exception becomes an error answer.
     live: answers `watch` and `control`; None refuses these requests.
-
-    clock: returns seconds.
-    UsageError: another daemon listens, or the socket's name is in use by another user or file.
-    InternalError: the socket cannot be created.
+    clock: returns seconds. UsageError: another daemon listens, or the socket's name is in use by
+    another user or file. InternalError: the socket cannot be created.
     """
 
     def __init__(
@@ -267,19 +265,17 @@ def _line(document: dict[str, Any]) -> bytes:
 
 def _listen(folder: RuntimeFolder) -> tuple[socket.socket, tuple[int, int]]:
     """Replace an ended daemon's socket; return the new one, and its device and inode numbers."""
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        os.fchmod(listener.fileno(), 0o600)  # `bind` creates the file with this mode
-        _remove_dead(folder)
-        listener.bind(folder.address(NAME))
-        listener.listen(CLIENTS_MAX)
-        entry = os.stat(NAME, dir_fd=folder.fd, follow_symlinks=False)
+        with contextlib.ExitStack() as stack:
+            listener = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+            os.fchmod(listener.fileno(), 0o600)  # `bind` creates the file with this mode
+            _remove_dead(folder)
+            listener.bind(folder.address(NAME))
+            listener.listen(CLIENTS_MAX)
+            entry = os.stat(NAME, dir_fd=folder.fd, follow_symlinks=False)
+            stack.pop_all()
     except OSError as error:
-        listener.close()
         raise InternalError(f"cannot listen on {folder.path / NAME}: {error.strerror}") from error
-    except BaseException:
-        listener.close()
-        raise
     return listener, (entry.st_dev, entry.st_ino)
 
 

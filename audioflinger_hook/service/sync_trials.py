@@ -39,7 +39,6 @@ NEGATIVE = 0.5  # probability of a delay below 0, relative to a positive delay
 # nothing about the delay. CARELESS_SHARE: prior probability of such a person.
 CARELESS, CARELESS_SHARE = ((20.0, 20.0, 0.9), (20.0, 1_000.0, 0.1)), 0.3
 
-
 LEAST = 8  # least number of trials, because the first answers may be lapses
 LONGEST_S = 60.0  # longest duration of the trials
 CREDIBLE = 0.95  # probability of the credible interval
@@ -117,8 +116,7 @@ class SyncTrials:
         outside_ms = np.maximum(low_ms - _OFFSETS_MS, _OFFSETS_MS - high_ms)
         # If the whole interval is far below 0, the offset 0 is still possible.
         near = _OFFSETS_MS[outside_ms <= max(MARGIN_MS, outside_ms.min())]
-        compared = near[:: max(1, near.size // COMPARED)]
-        return float(min(compared, key=self._expected_entropy))
+        return float(min(near[:: max(1, near.size // COMPARED)], key=self._expected_entropy))
 
     def add(self, offset_ms: float, answer: Answer) -> None:
         """Use the answer to a trial with an offset from `next_ms`."""

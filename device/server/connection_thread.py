@@ -137,7 +137,10 @@ def where() -> str:
 
 def no_server() -> LostError:
     """Return the error to raise if no sound server answers."""
+    needed = ("PULSE_SERVER", "XDG_RUNTIME_DIR")
+    cause = "" if any(map(os.environ.get, needed)) else " and XDG_RUNTIME_DIR is not set"
     return LostError(
-        f"no sound server answers{where()}; start PulseAudio or pipewire-pulse, or set "
+        f"no sound server answers{where()}{cause}; start PulseAudio or pipewire-pulse, or set "
+        f"{'XDG_RUNTIME_DIR to the folder of your session, or ' if cause else ''}"
         "PULSE_SERVER to the address of one that runs"
     )

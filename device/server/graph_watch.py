@@ -181,7 +181,8 @@ class Documents:
         block = os.read(self.file, READ_BYTES)
         self.ended = not block
         *whole, self._waiting = (self._waiting + block).split(b"\n]\n")
-        return [json.loads(_PARAMETERS.sub(_latency_in, text) + b"\n]") for text in whole]
+        texts = (_PARAMETERS.sub(_latency_in, text) + b"\n]" for text in whole)
+        return [json.loads(text.decode(errors="replace")) for text in texts]
 
 
 # Formats and volumes of nodes are most of the text. Only the latencies in it are used.
@@ -204,8 +205,7 @@ _ENDS = {"link." + end.removesuffix("-id").replace("-", "."): end for end in LIN
 class Announcements:
     """Reads the objects that `pw-cli --monitor` prints, sooner than `pw-dump` prints them.
 
-    `pw-dump` waits until it knows all properties of an object. `pw-cli` prints both ends of a link
-    at once.
+    `pw-dump` waits for all properties of an object. `pw-cli` prints both ends of a link at once.
     """
 
     def __init__(self, file: int) -> None:

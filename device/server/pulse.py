@@ -24,7 +24,7 @@ from device.server.snapshot import (
     Event,
     Listener,
     ServerSnapshot,
-    patch_samplerates,
+    patch_pulsectl,
     take_snapshot,
 )
 from device.volume_limit import limit_volume_db
@@ -168,7 +168,7 @@ class PulseConnection(ConnectionThread):
 
     def _connect(self) -> None:
         pulsectl = load_pulsectl()
-        patch_samplerates(pulsectl)
+        patch_pulsectl(pulsectl)
         with self._deadline():
             try:
                 self._pulse = pulsectl.Pulse(CLIENT, connect=False)

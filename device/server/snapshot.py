@@ -1,5 +1,6 @@
 """The state of a sound server at one moment, and its events. Any thread may use the objects."""
 
+import ctypes
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -123,14 +124,28 @@ class ServerSnapshot:
         return [one for one in self.sink_inputs if one.device_name == name and not one.corked]
 
 
-def patch_samplerates(pulsectl: Any) -> None:
-    """Make pulsectl copy sample rates: its own field for them points into freed memory."""
+def patch_pulsectl(pulsectl: Any) -> None:
+    """Make pulsectl read sample rates and any text, such as names that are not UTF-8.
+
+    Its own field of sample rates points into freed memory. Wrong bytes of text become U+FFFD.
+    """
+    c = pulsectl._pulsectl
+    get = ctypes.PyDLL("libpulse.so.0").pa_proplist_get
+    get.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p, ctypes.c_void_p]
+
+    def read(properties: Any, key: str) -> bytes:
+        start, size = ctypes.c_void_p(), ctypes.c_size_t()
+        get(properties, key.encode(), ctypes.byref(start), ctypes.byref(size))
+        found = ctypes.string_at(start.value, size.value) if start.value else b""
+        return found[:-1] if found.endswith(b"\0") else b""  # without it, binary data
 
     def keep(item: Any, struct: Any) -> None:
         item.samplerate = int(struct.sample_spec.rate) if struct else 0
 
     pulsectl.PulseSinkInfo._init_from_struct = keep
     pulsectl.PulseSourceInfo._init_from_struct = keep
+    c.pa.proplist_gets = read  # that of libpulse returns no text that is not UTF-8
+    c.force_str = lambda s, _="": s.decode("utf-8", "replace") if isinstance(s, bytes) else s
 
 
 def take_snapshot(pulse: Any, events: int, known: ServerSnapshot | None = None) -> ServerSnapshot:
@@ -148,7 +163,10 @@ def take_snapshot(pulse: Any, events: int, known: ServerSnapshot | None = None) 
     else:
         sinks = tuple(_sink(sink, kind) for sink in pulse.sink_list())
         names = {sink.index: sink.name for sink in sinks}
-        sources = tuple(_source(source, names) for source in pulse.source_list())
+        sources = tuple(
+            Source(monitor_of=names.get(one.monitor_of_sink), volume=_loudest(one), **_device(one))
+            for one in pulse.source_list()
+        )
     sink_names = {sink.index: sink.name for sink in sinks}
     source_names = {source.index: source.name for source in sources}
     playing = tuple(_stream(item, item.sink, sink_names) for item in sink_inputs)
@@ -178,11 +196,6 @@ def _sink(item: Any, kind: str) -> Sink:
         flat_volumes=bool(item.flags & FLAT_VOLUMES),
         **_device(item),
     )
-
-
-def _source(item: Any, sink_names: Mapping[int, str]) -> Source:
-    sink_name = sink_names.get(item.monitor_of_sink)
-    return Source(monitor_of=sink_name, volume=_loudest(item), **_device(item))
 
 
 def _device(item: Any) -> dict[str, Any]:

@@ -41,7 +41,7 @@ class Room:
 
     def open(self, width: int = 1280, theme: str = "dark") -> Page:
         """Open the page and its details, and wait until it shows the daemon."""
-        page = open_page(self.chromium, self.monitor.address, width, theme)
+        page = open_page(self.chromium, self.monitor.new_address(), width, theme)
         page.on("console", lambda said: self.complain(said.type, said.text))
         page.on("pageerror", lambda error: self.errors.append(str(error)))
         state(page, "Running", "Idle")

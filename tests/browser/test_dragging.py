@@ -57,9 +57,7 @@ def test_dragged_sliders_are_felt_without_gaps_clicks_or_lost_cycles(room, page)
             for key, ends in SLIDERS.items():
                 drag_about(page, key, ends, FOR_S / len(SLIDERS))
             more(felt, 1.0)
-            parts = [
-                one()[begin:] for one, begin in zip((felt, sound, witness), begins, strict=True)
-            ]
+            parts = [one()[at:] for one, at in zip((felt, sound, witness), begins, strict=True)]
             found = is_steady(parts[0], steady_db), tears(parts[1]) == 0
             shown = verdict.add(found, good=all(found), witness_torn=tears(parts[2]) > 0)
         assert room.daemon.status().engine_pid == process

@@ -27,7 +27,7 @@ def film(room):
 
 
 def opened(room, size, theme="dark"):
-    page = open_page(room.chromium, room.monitor.address, size[0], theme)
+    page = open_page(room.chromium, room.monitor.new_address(), size[0], theme)
     page.set_viewport_size({"width": size[0], "height": size[1]})
     page.on("pageerror", lambda error: room.errors.append(str(error)))
     state(page, "Running", "Idle")

@@ -37,9 +37,10 @@ SOAK_S = 600.0
 CLIENT = """
 import json, sys
 from websockets.sync.client import connect
-host, cookie = sys.argv[1:]
-headers = {"Origin": f"http://{host}", "Cookie": cookie}
+host, key = sys.argv[1:]
+headers = {"Origin": f"http://{host}"}
 with connect(f"ws://{host}/live", additional_headers=headers, compression=None) as live:
+    live.send(json.dumps({"key": key}))
     for text in live:
         message = json.loads(text)
         if "frame" in message:
@@ -72,7 +73,7 @@ def cpu_percent_beside_page(room: Room, server: SoundServer) -> float:
 
 def metric(room: Room, name: str) -> float:
     request = urllib.request.Request(
-        f"{room.monitor.base}metrics", headers={"Authorization": f"Bearer {room.monitor.token}"}
+        f"{room.monitor.base}metrics", headers={"Authorization": f"Bearer {room.monitor.key}"}
     )
     with urllib.request.urlopen(request, timeout=10.0) as answer:
         lines = answer.read().decode().splitlines()
@@ -166,7 +167,7 @@ def test_eight_clients_one_of_them_stopped_lose_no_buffer(room: Room, tmp_path: 
     ):
         clients = []
         for _ in range(8):
-            command = (sys.executable, "-c", CLIENT, room.monitor.host, room.monitor.cookie)
+            command = (sys.executable, "-c", CLIENT, room.monitor.host, room.monitor.key)
             client = program(os.environ, *command, stderr=subprocess.DEVNULL)
             clients.append(stack.enter_context(client))
         for client in clients:

@@ -1,20 +1,22 @@
-"""Workers and clients that are killed at random moments: nothing is lost, nothing half."""
-
 import contextlib
 import json
 import os
 import random
 import signal
-import socket
 import subprocess
 import sys
+import tempfile
 import time
+from concurrent.futures import BrokenExecutor
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
 
-from audioflinger_hook.catalogue.storage import PART, LocalStorage
+from audioflinger_hook.catalogue.storage import LocalStorage
+from audioflinger_hook.offline import batch
+from device.temporary_folder import PREFIX, temporary_folder
 from tests.support.catalogues import expected as results_of
 from tests.support.catalogues import library, results, rows
 from tests.support.commands import (
@@ -54,7 +56,7 @@ def whole(out, expected):
     return all(
         expected[name] == content
         for name, content in results(out).items()
-        if not name.startswith(PART)
+        if not name.startswith(PREFIX)
     )
 
 
@@ -105,33 +107,73 @@ def test_a_run_that_is_killed_or_interrupted_loses_nothing_and_the_next_goes_on(
     assert kept.items() <= finished(out).items()
 
 
-def test_only_parts_of_dead_processes_that_this_one_can_see_are_removed(tmp_path):
-    out = tmp_path / "out"
-    out.mkdir()
-    host, numbering = socket.gethostname(), Path("/proc/self/ns/pid").stat().st_ino
-    with subprocess.Popen(["true"]) as ended:
-        pass
-    dead = f"{PART}{host}+{numbering}+{ended.pid}+0123.wav"
-    kept = [
-        f"{PART}{host}+{numbering}+{os.getpid()}+0123.wav",
-        f"{PART}{host}+{numbering + 1}+{ended.pid}+0123.wav",  # of another container
-        f"{PART}other+{numbering}+{ended.pid}+0123.wav",
-    ]
-    for name in (dead, f".{dead}.4567.part", *kept):
-        (out / name).touch()
-    LocalStorage(out).put("a.wav", lambda path: path.write_bytes(b"a"))
-    assert sorted(path.name for path in out.iterdir()) == sorted(["a.wav", *kept])
+def test_only_folders_that_no_process_holds_are_removed(tmp_path):
+    (tmp_path / f"{PREFIX}dead").mkdir()
+    with temporary_folder(tmp_path) as held:
+        LocalStorage(tmp_path).put("a.wav", lambda path: path.write_bytes(b"a"))
+        assert {path.name for path in tmp_path.iterdir()} == {"a.wav", held.name}
 
 
-def test_an_item_that_ends_its_worker_fails_alone(tmp_path):
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_item_that_ends_its_worker_fails_alone_and_is_tried_again_on_request(tmp_path, workers):
     folder, out = library(tmp_path / "in", 8, 20_000), tmp_path / "out"
     env = ended_by("s03.wav", tmp_path)
-    done = cushion("catalogue", folder, "--out", out, "--workers", 2, "--json", env=env)
+    run = ("catalogue", folder, "--out", out, "--workers", workers, "--json")
+    done = cushion(*run, env=env)
     assert done.code == 5
     assert "its worker died 2 times" in done.stderr
     found = json.loads(done.stdout)
     assert (found["rendered"] + found["skipped"], found["failed"]) == (7, 1)
     assert ([row["id"] for row in rows(out / "failed.jsonl")], len(results(out))) == (["s03"], 7)
+    done = call(*run)  # in which the file would end nothing
+    assert (done.code, "add --retry-died" in done.stderr) == (5, True)
+    status = call("catalogue", "status", folder, "--out", out, "--json")
+    assert json.loads(status.stdout)["unreadable"] == 1
+    assert call(*run, "--retry-died").code == 0
+
+
+def test_a_killed_run_leaves_no_folders_once_another_has_run(sounds, tmp_path):
+    run = ("catalogue", sounds, "--out", tmp_path / "out", "--workers", 2)
+    with tempfile.TemporaryDirectory(dir="/tmp") as name:  # short enough for a socket
+        for _ in range(2):
+            with start(*run, env={"TMPDIR": name}) as process:
+                until(lambda: any(Path(name).glob("*/pymp-*")), process)
+                process.kill()
+        assert cushion(*run, env={"TMPDIR": name}).code == 0
+        assert not list(Path(name).iterdir())
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_killed_fork_server_is_no_fault_of_an_item(sounds, expected, tmp_path, number):
+    run = ("catalogue", sounds, "--out", tmp_path / "out", "--workers", 2)
+    with start(*run) as process:
+        until(lambda: bool(workers_of(process)), process)
+        workers_of(process)[0].parent().send_signal(number)
+        _, stderr = process.communicate(timeout=60)
+    assert (process.returncode, stderr) == (0, "")
+    assert results(tmp_path / "out") == expected
+
+
+def kill_server():
+    os.kill(os.getppid(), signal.SIGKILL)
+    time.sleep(60.0)
+
+
+DEATHS: dict[str, tuple[Any, ...]] = {
+    batch.DIED: (os._exit, 9),
+    batch.ENDED: (os._exit, 1),
+    "by SIGKILL, from outside": (signal.raise_signal, signal.SIGKILL),
+    batch.NO_SERVER: (kill_server,),
+}
+
+
+@pytest.mark.parametrize("reason", DEATHS)
+def test_the_cause_of_a_death_is_named(reason):
+    with batch.LocalWorkers(2, "os") as place:
+        future = place.submit(*DEATHS[reason])
+        with pytest.raises(BrokenExecutor):
+            future.result(60.0)
+        assert place.death().startswith(reason)
 
 
 class Cluster(contextlib.ExitStack):

@@ -1,10 +1,9 @@
-"""Manifests: what is understood, every mistake at once, and a million lines in flat memory."""
-
 import contextlib
 import gzip
 import json
 import os
 import random
+import re
 import time
 from itertools import islice
 
@@ -14,6 +13,8 @@ from audioflinger_hook.catalogue.manifest import Manifest
 from device.errors import UsageError
 from tests.support.catalogues import library, manifest
 from tests.support.commands import call, start
+from tests.support.costs import cost_ffts
+from tools.bench.cost import in_ffts
 
 OUT = "/nowhere/out"
 
@@ -114,6 +115,7 @@ MISTAKES = {
     '{"audio": "a.wav", "id": "../x"}': "is not a name of a result",
     '{"audio": "a.wav", "id": "/x"}': "is not a name of a result",
     '{"audio": "a.wav", "id": "failed"}': "is the name of a file of the run",
+    '{"audio": "a.wav", "id": "failed-1-of-2.jsonl/a"}': "is the name of a file of the run",
     '{"audio": "a.wav", "id": 3}': "id='3' is not a name",
     '{"audio": "a.wav", "track": 0}': "track='0' is out of range",
     '{"audio": "a.wav", "durations_s": 3}': "did you mean duration_s?",
@@ -162,11 +164,58 @@ def test_mistakes_of_csv_are_told_with_their_lines(tmp_path):
 @pytest.mark.parametrize("in_memory_bytes", [1 << 16, 16])
 def test_two_items_of_one_name_are_a_mistake_even_on_disk(tmp_path, monkeypatch, in_memory_bytes):
     monkeypatch.setattr("audioflinger_hook.catalogue.manifest.SPOOLED_BYTES", in_memory_bytes)
-    lines = ({"audio": "a.wav"}, {"audio": "b.wav", "id": "a"}, {"audio": "c"}, {"audio": "a.flac"})
+    lines = [{"audio": f"{name}.wav", "id": name} for name in "aaca"]
     assert mistakes(manifest(tmp_path / "l.jsonl", *lines)) == [
         "l.jsonl:2: has the same id as line 1; give ids",
         "l.jsonl:4: has the same id as line 2; give ids",
     ]
+
+
+HARD_NAMES = [
+    *(b"caf\xe9.wav", b"two\nlines.wav", b"esc\x1b[2J.wav", b"l" * 250 + b".wav", b"sub\xff/z.wav"),
+    *(b"a.wav", b"a.flac", b"a.flac.wav", b"b.wav", b"b.WAV", b"catalogue.wav", b"failed.wav"),
+    # folders that would be in the place of a result, a record or a list of failures
+    *(b"a.wav.json/c.wav", b"b.wav.wav/c.wav", b"failed.jsonl/c.wav", b"a.hjif/c.wav"),
+]
+
+
+def test_every_name_of_a_file_becomes_an_id_of_its_own(tmp_path, monkeypatch):
+    (tmp_path / "in").mkdir()
+    for name in HARD_NAMES:
+        path = os.path.join(os.fsencode(tmp_path), b"in", name)  # noqa: PTH118
+        os.makedirs(os.path.dirname(path), exist_ok=True)  # noqa: PTH103, PTH120
+        with open(path, "wb"):  # noqa: PTH123
+            pass
+    (tmp_path / "in/link.wav").symlink_to("link.wav")
+    found = {item.id for item in items(tmp_path / "in")}
+    assert len(found) == len(HARD_NAMES) + 1
+    kept = "a.wav a.flac a.flac.wav b.wav b.WAV catalogue.wav failed.wav"
+    assert set(kept.split()) < found
+    assert not re.search(r"\.(wav|json|jsonl|hjif)/", " ".join(found))
+    assert all(name.isprintable() and len(name.encode()) < 200 for name in found)
+    lines = [{"audio": "a.wav"}, {"audio": "a.flac"}, {"audio": "b.wav", "id": "a"}]
+    listed = manifest(tmp_path / "l.jsonl", *lines)
+    assert [item.id for item in items(listed)] == ["a.wav", "a.flac", "a"]
+
+
+def test_a_folder_that_cannot_be_listed_fails_and_costs_no_other(tmp_path, monkeypatch):
+    folder, scandir = library(tmp_path / "in", 2), os.scandir
+    library(folder / "locked", 1)
+
+    def scanned(path):
+        if str(path).endswith("locked"):
+            raise PermissionError(13, "Permission denied")
+        return scandir(path)
+
+    monkeypatch.setattr("os.scandir", scanned)
+    for pattern in ("", "**/*.wav"):
+        found = [item.id for item in items(folder / pattern)]
+        assert found == ["locked", "s00", "s01"]
+    assert [item.id for item in items(folder / "s*.wav")] == ["s00", "s01"]
+    done = call("catalogue", folder, "--out", tmp_path / "out", "--workers", 1)
+    assert (done.code, done.stderr.count("\n")) == (2, 1)
+    assert "locked is a folder" in done.stderr
+    assert "2 rendered" in done.stdout
 
 
 def test_a_hundred_mistakes_are_listed_and_all_are_counted(tmp_path):
@@ -232,10 +281,8 @@ LEAF = 1_000
 
 
 def watched(*arguments, first):
-    """Run `cushion catalogue` on another manifest and then, in the same process, on the last one.
-
-    Return the summary of the latter, the wall time in s and the peak memory in MB after each.
-    """
+    """Run a catalogue of `first` and then, in the same process, of the last argument. Return the
+    summary of the latter, the wall time in s and the peak memory in MB after each."""
     begin_s, prelude = time.perf_counter(), f"FIRST = {str(first)!r}{PEAK_KB}"
     with start("catalogue", "--json", *arguments, prelude=prelude) as process:
         stdout, stderr = process.communicate()
@@ -275,5 +322,7 @@ def test_memory_does_not_grow_with_a_manifest_and_a_done_item_takes_under_2_ms(t
     print(f"{1e3 * wall_s / (few + many):.3f} ms an item, {peaks} MB")
     if many == 1_000_000:  # of fewer items, the start of the processes is most of it
         assert wall_s / (few + many) <= 2e-3
-    # 16 bytes a line for the search of duplicates may stay in memory up to 4 MB in all.
+    run = ("catalogue", listed, "--out", out, "--workers", 1)
+    assert many > 5_000 or cost_ffts(lambda: call(*run)) <= in_ffts(1e-4 * many)
+    # 17 bytes a line for the search of duplicates may stay in memory up to 4 MB in all.
     assert peaks[1] - peaks[0] <= 8.0

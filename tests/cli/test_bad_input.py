@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -16,18 +17,8 @@ import soundfile
 
 from audioflinger_hook.offline.render import render_file
 from device.errors import WriteError
-from tests.support.commands import (
-    RATE,
-    call,
-    cushion,
-    listing,
-    noise,
-    open_files,
-    refused,
-    sound,
-    vibration,
-    without_a_reader,
-)
+from tests.support import commands
+from tests.support.commands import RATE, call, cushion, noise, open_files, refused, sound, vibration
 
 HEADER_BYTES = 44  # of a PCM_16 WAV file as libsndfile writes it
 
@@ -56,7 +47,7 @@ def refusal(command, path, out):
     """The error of a reader that refuses a file and leaves the older output alone."""
     error = refused(read_by(command, path, out))
     assert str(path) in error
-    assert listing(out.parent) == {out.name: b"old"}
+    assert commands.listing(out.parent) == {out.name: b"old"}
     return error
 
 
@@ -69,16 +60,12 @@ def test_what_is_no_sound_is_refused_with_the_reason(tmp_path, out, capfd, comma
     head = sound(tmp_path / "head.wav", noise(5_000), subtype="PCM_16")
     head.write_bytes(head.read_bytes()[:HEADER_BYTES])
     for name, words in {
-        "none.wav": "does not exist",
-        "dangling.wav": "does not exist",
-        "empty.wav/in.wav": "does not exist",
+        **dict.fromkeys(("none.wav", "dangling.wav", "empty.wav/in.wav"), "does not exist"),
         "empty.wav": "is empty (0 bytes)",
         "": "is a folder",
         "random.mp3": "is not a sound file",
         "head.wav": "has no sound (0 frames)",
-        "circle.wav": "",
-        "x" * 256 + ".wav": "",
-        "d/" * 2_100 + "in.wav": "",
+        **dict.fromkeys(("circle.wav", "x" * 256 + ".wav", "d/" * 2_100 + "in.wav"), ""),
     }.items():
         assert words in refusal(command, tmp_path / name, out)
     for container, subtype in (("WAV", "PCM_16"), ("AIFF", "PCM_24"), ("OGG", "VORBIS")):
@@ -148,8 +135,7 @@ def test_a_place_where_no_file_can_be_is_refused_with_the_reason(source, tmp_pat
         f"{tmp_path}/none/out.wav": f"folder {tmp_path}/none does not exist",
         f"{tmp_path}/file/out.wav": f"{tmp_path}/file is not a folder",
         "folder": "it is a folder; name a file in it",
-        "/dev/full": "it is not a regular file",
-        "/dev/null": "it is not a regular file",
+        **dict.fromkeys(("/dev/full", "/dev/null"), "it is not a regular file"),
         "circle.wav": "circle.wav",
         "-": "name a file",
         "": "",
@@ -200,7 +186,7 @@ def test_a_config_that_may_not_be_read_is_refused(nobodys):
 
 
 def test_an_output_that_is_the_input_is_refused_however_it_is_named(source, tmp_path, monkeypatch):
-    before = listing(tmp_path)
+    before = commands.listing(tmp_path)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder").mkdir()
     Path("link.wav").symlink_to(source)
@@ -209,11 +195,11 @@ def test_an_output_that_is_the_input_is_refused_however_it_is_named(source, tmp_
         assert "name two files" in error
         refused(call("render", source, "out.wav", "--acceleration", name))
         refused(call("render", name, source))
-        assert listing(tmp_path) == before | {"link.wav": before["in.wav"]}
+        assert commands.listing(tmp_path) == before | {"link.wav": before["in.wav"]}
     for name in ("out.wav", "folder/../out.wav"):
         error = refused(call("render", source, "out.wav", "--acceleration", name))
         assert re.search("the vibration.*the acceleration|the acceleration.*the vibration", error)
-    assert listing(tmp_path) == before | {"link.wav": before["in.wav"]}
+    assert commands.listing(tmp_path) == before | {"link.wav": before["in.wav"]}
 
 
 def test_a_full_disk_is_a_write_error_and_leaves_everything_as_it_was(tmp_path, small_disk, out):
@@ -223,8 +209,8 @@ def test_a_full_disk_is_a_write_error_and_leaves_everything_as_it_was(tmp_path, 
     for options in ([path], [out, "--acceleration", path], [path, "--acceleration", out]):
         error = refused(call("render", source, *options), 5)
         assert f"cannot write {path}: the disk is full" in error
-        assert listing(small_disk) == {path.name: b"old"}
-        assert listing(out.parent) == {out.name: b"old"}
+        assert commands.listing(small_disk) == {path.name: b"old"}
+        assert commands.listing(out.parent) == {out.name: b"old"}
 
 
 def test_an_acceleration_that_cannot_be_finished_leaves_the_older_vibration(tmp_path, source, out):
@@ -237,7 +223,7 @@ def test_an_acceleration_that_cannot_be_finished_leaves_the_older_vibration(tmp_
 
     with pytest.raises(WriteError, match=r"felt\.wav"):
         render_file(source, out, acceleration=folder / "felt.wav", progress=vanish)
-    assert listing(out.parent) == {out.name: b"old"}
+    assert commands.listing(out.parent) == {out.name: b"old"}
 
 
 @pytest.mark.exhaustive
@@ -260,7 +246,7 @@ def test_a_stream_that_is_closed_keeps_nobody_from_rendering(source, out, number
 @pytest.mark.sweep
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["render", "--help"]])
 def test_a_reader_that_has_gone_is_no_error(arguments):
-    done = without_a_reader(*arguments)
+    done = commands.without_a_reader(*arguments)
     assert (done.code, done.stderr) == (0, "")
 
 
@@ -296,14 +282,6 @@ def test_without_a_command_the_help_ends_with_the_next_step():
     assert "next: `cushion setup`" in done.stdout
 
 
-def test_the_rule_for_usb_devices_needs_no_device(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-    done = call("install-service", "--udev")
-    assert (done.code, done.stderr) == (0, "")
-    assert "70-cushion.rules" in done.stdout
-    assert listing(tmp_path) == {}
-
-
 def test_an_error_is_one_line_whatever_its_words_hold(tmp_path, out):
     assert "does not exist" in refused(call("render", tmp_path / "two\nlines\r.wav", out))
     refused(call("render", "a", "b", "--lo\nud"))
@@ -311,14 +289,48 @@ def test_an_error_is_one_line_whatever_its_words_hold(tmp_path, out):
 
 
 def test_a_fault_of_the_program_is_one_line_and_code_5(source, out, monkeypatch):
-    def divide(*_arguments, **_options):
-        raise ZeroDivisionError("in two\nlines")
-
-    monkeypatch.setattr("audioflinger_hook.cli.render.render_file", divide)
+    fault = Mock(side_effect=ZeroDivisionError("in two\nlines"))
+    monkeypatch.setattr("audioflinger_hook.cli.render.render_file", fault)
     done = call("render", source, out)
     assert (done.code, done.stdout, done.stderr.count("\n")) == (5, "", 1)
     assert done.stderr.startswith("cushion: error: ZeroDivisionError: in two lines; ")
     assert "fault of cushion" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (MemoryError("193 KiB"), 5, "no memory is left (MemoryError)"),
+        (ImportError("x.so: failed to map segment from shared object"), 5, "no memory is left"),
+        (FileNotFoundError(2, "No usable temporary directory found in"), 2, "TMPDIR is"),
+    ],
+)
+def test_lack_of_memory_or_of_a_folder_is_named(source, out, monkeypatch, error, code, words):
+    monkeypatch.setattr("audioflinger_hook.cli.render.render_file", Mock(side_effect=error))
+    assert words in refused(call("render", source, out), code)
+
+
+@pytest.mark.parametrize(
+    ("limit_mb", "command", "needed_mb"),
+    [
+        (100, "check", 120),
+        (130, "check", 0),
+        (130, "render IN OUT", 165),
+        (168, "render IN OUT", 0),
+        (168, "render IN OUT --damping auto", 310),  # SciPy would hang
+    ],
+)
+def test_of_a_memory_limit_only_what_would_not_work_is_refused(
+    source, out, limit_mb, command, needed_mb
+):
+    limit = f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({limit_mb} << 20,) * 2)\n"
+    words = [{"IN": source, "OUT": out}.get(word, word) for word in command.split()]
+    done = cushion(*words, prelude=limit)
+    if needed_mb:
+        few = f"this process may use {limit_mb} MB of memory (ulimit -v); allowed: at least"
+        assert f"{few} {needed_mb} MB" in refused(done)
+    else:
+        assert (done.code, done.stderr) == (0, "")
 
 
 def test_debug_shows_where_an_error_came_from(tmp_path, out):

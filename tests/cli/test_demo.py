@@ -86,10 +86,9 @@ def test_the_demo_goes_the_way_that_rendering_its_sound_goes(demo, tmp_path):
     felt, config = tmp_path / "acceleration.wav", tmp_path / "config.toml"
     config.write_text('[transform]\nstrength = "rig"\n')
     options = ("--profile", LIVE_DEFAULT, "--config", config, "--acceleration", felt)
-    assert (
-        commands.call("render", out / "scene.wav", tmp_path / "vibration.wav", *options).code == 0
-    )
-    assert (tmp_path / "vibration.wav").read_bytes() == (out / "vibration.wav").read_bytes()
+    rendered = tmp_path / "vibration.wav"
+    assert commands.call("render", out / "scene.wav", rendered, *options).code == 0
+    assert rendered.read_bytes() == (out / "vibration.wav").read_bytes()
     assert felt.read_bytes() == (out / "acceleration.wav").read_bytes()
 
 
@@ -97,19 +96,16 @@ def test_the_demo_goes_the_way_that_rendering_its_sound_goes(demo, tmp_path):
 def test_every_sound_of_the_scene_is_felt_and_its_silence_is_not(demo):
     _, out = demo
     felt = commands.vibration(out / "vibration.wav")[:, 0]
-    for start_s, end_s, _ in demo_scene().events():
-        assert (
-            np.abs(felt[round(start_s * commands.RATE) : round(end_s * commands.RATE)]).max() > 0.03
-        )
+    for times in demo_scene().events():
+        start, end = (round(time_s * commands.RATE) for time_s in times[:2])
+        assert np.abs(felt[start:end]).max() > 0.03
     # 9.4 to 9.7 s lies in the second of silence, away from what rings around it.
     assert np.abs(felt[round(9.4 * commands.RATE) : round(9.7 * commands.RATE)]).max() < 1e-3
 
 
 def test_the_closing_table_says_what_is_in_the_files(tmp_path):
-    done, out = (
-        commands.cushion("demo", "--fast", cwd=tmp_path, prelude=ONE_SECOND),
-        tmp_path / "out",
-    )
+    done = commands.cushion("demo", "--fast", cwd=tmp_path, prelude=ONE_SECOND)
+    out = tmp_path / "out"
     peak_db = 20 * np.log10(np.abs(commands.vibration(out / "vibration.wav")).max())
     assert f"{peak_db:.1f} dBFS" in done.stdout
     peak_m_s2 = 100 * np.abs(commands.vibration(out / "acceleration.wav")).max()
@@ -224,10 +220,8 @@ def test_an_interrupted_demo_leaves_nothing(tmp_path):
     out = tmp_path / "out"
     with commands.start("demo", "--out", out) as process:
         # The whole sound and half a second of vibration: in the middle of what lasts 15 s.
-        half_a_second = 4 * commands.RATE // 2
-        commands.until(
-            lambda: sum(n > half_a_second for n in commands.held_back(process, out)) > 1, process
-        )
+        half = 4 * commands.RATE // 2
+        commands.until(lambda: sum(n > half for n in commands.held_back(process, out)) > 1, process)
         process.send_signal(signal.SIGINT)
         stdout, stderr = process.communicate(timeout=10)
     assert (process.returncode, stdout, stderr) == (130, "", "cushion: interrupted\n")

@@ -1,9 +1,8 @@
-"""`cushion export`: files of every format, and what it refuses."""
-
 import json
 import tracemalloc
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -11,9 +10,12 @@ import soundfile
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports.export import ExportOptions, export
-from audioflinger_hook.exports.options import FORMATS
+from audioflinger_hook.exports.options import FORMATS, LONG
 from audioflinger_hook.sources import TapClient
+from device.errors import UsageError
 from tests.support.commands import RATE, call, document, listing, noise, refused, sound
+from tests.support.signals import tone
+from tests.support.taps import BufferTap
 
 
 @pytest.fixture
@@ -45,6 +47,8 @@ REFUSED = {
     "out.wav --format hapic": "format 'hapic' is not known; did you mean 'haptic'?",
     "out.wav --output-rate 999": "output_rate_hz=999 is out of range; allowed: 1000",
     "out.ahap --output-rate 1000": "holds no waveform; leave it out",
+    "out.flac --output-rate 65537": "allowed: 1000 to 655350 Hz, above 65535 Hz in steps of 10 Hz",
+    "out.flac --output-rate 655360": "is out of range; allowed: 1000 to 655350",
     "out.ogg --output-rate 8000": "holds the sound at its own rate; leave it out",
     "out.wav --device-band 55:200": "does not fit the format wav",
     "out.ahap --device-band 19:200": "is out of range; allowed: LOW:HIGH from 20",
@@ -84,6 +88,29 @@ def test_64_channels_are_mixed_or_refused(name: str, tmp_path: Path, folder: Pat
     assert (done.code == 0) == (name != "ogg-haptic") == bool(listing(folder))
 
 
+HELD = [  # format, rate of the sound, rate of the file
+    ("flac", 65_535, 65_535), ("flac", 65_537, 192_000), ("flac", 65_540, 65_540),
+    ("flac", 655_350, 655_350), ("flac", 655_360, 192_000), ("flac", 768_000, 192_000),
+    ("ogg-haptic", 1_000, 1_000), ("ogg-haptic", 200_000, 200_000),
+    ("ogg-haptic", 200_001, 192_000), ("ogg-haptic", 768_000, 192_000), ("wav", 768_000, 768_000),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "rate_hz", "file_hz"), HELD)
+def test_a_rate_that_a_format_cannot_have_is_resampled(name, rate_hz, file_hz, tmp_path, folder):
+    wave = 0.3 * tone(90.0, 0.5, rate_hz)[:, None]
+    source = sound(tmp_path / "in.wav", wave, rate_hz)
+    done = call("export", source, folder / "out", "--format", name, "--json")
+    report = json.loads(done.stdout)
+    assert ("cannot have" in done.stderr) == (rate_hz != file_hz)
+    frames, found_hz = soundfile.read(folder / "out", always_2d=True)
+    assert (found_hz, len(frames)) == (file_hz, report["frames"])
+    assert len(frames) == -(-len(wave) * file_hz // rate_hz)
+    if name == "ogg-haptic":
+        error = frames[:, 0] - 0.3 * tone(90.0, len(frames) / file_hz, file_hz)
+        assert np.std(error) < 0.02  # Vorbis is lossy
+
+
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_full_disk_is_a_write_error_and_leaves_everything_as_it_was(name, tmp_path, small_disk):
     rng = np.random.default_rng(5)
@@ -98,31 +125,33 @@ def test_a_full_disk_is_a_write_error_and_leaves_everything_as_it_was(name, tmp_
     assert listing(small_disk) == {"out": b"old"}
 
 
-class LongTap:
-    """Frames from one second of sound, again and again, for as long as wanted."""
-
-    format_changed = discontinuity = False
-    channels = 1
-
-    def __init__(self, second: Any, seconds: int) -> None:
-        self._second, self._left = second, seconds
-        self.samplerate = len(second)
-        self.frames_expected = seconds * len(second)
-
-    def read(self) -> Any:
-        self._left -= 1
-        return self._second if self._left >= 0 else None
-
-    def close(self) -> None:
-        pass
+def again(second: Any, seconds: int) -> BufferTap:
+    """One second of sound for as long as wanted."""
+    return BufferTap(*[(second, len(second), False)] * seconds)
 
 
 @pytest.mark.parametrize("name", [name for name, one in FORMATS.items() if one.whole])
-def test_a_sound_of_30_hours_is_refused_before_it_is_played(name: str, folder: Path) -> None:
-    client = TapClient(LongTap(noise(8_000).astype(np.float32), 30 * 3_600))
-    with pytest.raises(Exception, match=r"longer than the format .* allowed: 3 hours"):
-        export(client, folder / "out", Settings(), ExportOptions(name))
+@pytest.mark.parametrize("length_known", [True, False])
+def test_two_hours_are_refused_at_the_start(name, length_known, folder, monkeypatch):
+    tap = again(np.zeros((1_000, 1), np.float32), 7_200)
+    if not length_known:
+        monkeypatch.setattr(BufferTap, "frames_expected", None)
+    read = Mock(wraps=tap.read)
+    monkeypatch.setattr(tap, "read", read)
+    with pytest.raises(UsageError, match=r"too long for the format .* allowed: 3600 s; .* ogg"):
+        export(TapClient(tap), folder / "out", Settings(), ExportOptions(name))
     assert listing(folder) == {}
+    assert not read.called if length_known else 3_600 < read.call_count < 3_700
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_a_long_sound_is_told_at_the_start(name: str, tmp_path: Path, folder: Path) -> None:
+    for more_s in (0, 1):
+        silence = np.zeros(1_000 * (LONG[name][0] + more_s))
+        done = call(
+            "export", sound(tmp_path / "in", silence, 1_000), folder / "o", "--format", name
+        )
+        assert (done.code, LONG[name][1] in done.stderr) == (0, more_s > 0)
 
 
 @pytest.mark.exhaustive
@@ -130,12 +159,11 @@ def test_a_sound_of_30_hours_is_refused_before_it_is_played(name: str, folder: P
 def test_memory_does_not_grow_with_the_length(name: str, folder: Path) -> None:
     second, out = noise(8_000).astype(np.float32), folder / "out"
     options, peaks = ExportOptions(name, 1_000 if name in ("wav", "flac") else None), []
-    short = 1 if name == "partials" else 5  # partials of noise take long under tracemalloc
-    for seconds in (short, short, 10 * short):  # the first run loads what is loaded once
+    for seconds in (20, 20, 80):  # the first run loads what is loaded once
         tracemalloc.start()
-        export(TapClient(LongTap(second, seconds)), out, Settings(), options)
+        export(TapClient(again(second, seconds)), out, Settings(), options)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    assert peaks[2] < peaks[1] + 250_000  # the sound alone takes 0.29 MB more, or 1.4
+    assert peaks[2] < peaks[1] + 250_000  # the sound alone takes 1.9 MB more
     if name != "partials":
-        assert soundfile.info(out).duration == 50.0
+        assert soundfile.info(out).duration == 80.0

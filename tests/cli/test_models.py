@@ -1,5 +1,3 @@
-"""The model of the simulated rig, as a user chooses it, and what the reports say about it."""
-
 import re
 from importlib.resources import files
 
@@ -62,10 +60,8 @@ def test_in_words_consecutive_seconds_of_one_model_share_a_line(source, tmp_path
 
 def test_a_smaller_tolerance_comes_closer_to_the_non_linear_model(source, tmp_path):
     true = reported(source, tmp_path, "--model", "nonlinear")[1]
-    off = [
-        np.abs(reported(source, tmp_path, "--tolerance", tolerance)[1] - true).max()
-        for tolerance in ("1", "0.0001")
-    ]
+    found = (reported(source, tmp_path, "--tolerance", one)[1] for one in ("1", "0.0001"))
+    off = [np.abs(acceleration - true).max() for acceleration in found]
     assert off[1] <= 1e-4 * np.abs(true).max()
     assert off[1] < 0.1 * off[0]
 

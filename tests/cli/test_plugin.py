@@ -1,5 +1,3 @@
-"""`cushion plugin`: what it writes, what it never touches, and what it removes."""
-
 from pathlib import Path
 
 import pytest
@@ -61,9 +59,7 @@ def test_a_foreign_file_is_neither_overwritten_nor_removed(home: Path, path: str
     assert (files(home), foreign.read_text()) == ([Path(path)], "somebody's own\n")
 
 
-def test_the_chain_has_the_default_of_what_is_played_unless_a_profile_is_named(
-    home: Path,
-) -> None:
+def test_the_chain_has_the_default_of_what_is_played_unless_a_profile_is_named(home: Path) -> None:
     assert call("plugin", "install", "--rate", "10").code == 2
     assert call("plugin", "install", "--profile", "loud").code == 2
     assert files(home) == []

@@ -1,5 +1,3 @@
-"""`cushion render`: what stands in the files, what is said, and what it costs."""
-
 import functools
 import json
 import os
@@ -8,18 +6,8 @@ import numpy as np
 import pytest
 import soundfile
 
-from tests.support.commands import (
-    RATE,
-    call,
-    cushion,
-    document,
-    listing,
-    noise,
-    on_a_terminal,
-    refused,
-    sound,
-    vibration,
-)
+from tests.support import commands
+from tests.support.commands import RATE, call, cushion, document, listing, noise, sound, vibration
 from tests.support.signals import FORMS, burst, columns, envelope, tone
 
 
@@ -173,9 +161,11 @@ def test_the_limiter_keeps_out_below_full_scale_and_is_counted(tmp_path, out):
 
 
 @pytest.mark.exhaustive
-def test_progress_is_drawn_on_a_terminal_and_json_stays_json(tmp_path, out):
+@pytest.mark.parametrize("name", ["", "ogg-haptic", "partials"])
+def test_progress_is_drawn_on_a_terminal_and_json_stays_json(name, tmp_path, out):
     source = sound(tmp_path / "[bold]in.wav", noise(50_000))
-    done, drawn = on_a_terminal("render", source, out, "--json", streams=("stderr",))
+    command = ("export", "--format", name) if name else ("render",)
+    done, drawn = commands.on_a_terminal(*command, source, out, "--json", streams=("stderr",))
     assert json.loads(done.stdout)["frames"] == 50_000
     assert "100 %" in drawn
     assert "[bold]in.wav" in drawn  # a name is a name, not markup
@@ -239,17 +229,12 @@ def test_damping_is_heard_by_the_rig_in_file_and_acceleration_alike(tmp_path, ou
 
 def test_names_that_do_not_exist_are_answered_together_with_those_that_do(tmp_path, out):
     source = sound(tmp_path / "in.wav", noise(3_000))
-    known = {
-        "transform": "live, reference",
-        "channels": "mono, each",
-        "profile": "paper, cinema, game, music",
-        "damping": "off, auto",
-        "protection": "off, on",
-        "rig": "paper, consumer, or a file, NAME.toml",
-    }
+    known = {"transform": "live, reference", "channels": "mono, each", "damping": "off, auto"}
+    known |= {"profile": "paper, cinema, game, music", "protection": "off, on"}
+    known["rig"] = "paper, consumer, or a file, NAME.toml"
     for names in (*([name] for name in known), ["profile", "damping"]):
         wrong = [word for name in names for word in (f"--{name}", f"Loud {name}")]
-        error = refused(call("render", source, out, *wrong))
+        error = commands.refused(call("render", source, out, *wrong))
         for name in names:
             assert name in error  # the word that was typed
             assert f"'Loud {name}'" in error

@@ -1,5 +1,3 @@
-"""`cushion render IN... --out-dir DIR`: several files at once, each as if alone."""
-
 import json
 import os
 import re
@@ -40,9 +38,8 @@ def test_each_file_is_as_if_alone_and_told_of_in_its_turn(sources, folder, tmp_p
     for source, path in zip(sources, outputs, strict=True):
         assert commands.call("render", source, alone, "--transform", form).code == 0
         assert path.read_bytes() == alone.read_bytes()
-    found = json.loads(commands.cushion("render", *reversed(sources), *options, "--json").stdout)[
-        "files"
-    ]
+    done = commands.cushion("render", *reversed(sources), *options, "--json")
+    found = json.loads(done.stdout)["files"]
     assert [entry["input"] for entry in found] == [str(source) for source in reversed(sources)]
     assert found[-1]["frames"] == 40_000
     assert all({"peak", "latency_s", "samplerate"} <= entry.keys() for entry in found)
@@ -84,10 +81,8 @@ def test_what_is_wrong_with_a_file_is_told_with_its_name(sources, folder):
 
 def test_options_may_stand_between_the_files(sources, folder):
     one, two = sources[:2]
-    files = commands.document("render", one, "--out-dir", folder, two, "--channels", "each")[
-        "files"
-    ]
-    assert [entry["channels"] for entry in files] == [2, 1]
+    told = commands.document("render", one, "--out-dir", folder, two, "--channels", "each")
+    assert [entry["channels"] for entry in told["files"]] == [2, 1]
     assert commands.document("render", one, folder / "only.wav")["channels"] == 1
     assert len(commands.document("render", one, "--out-dir", folder)["files"]) == 1
 
@@ -115,10 +110,8 @@ def test_what_cannot_be_meant_is_refused_before_anything_is_done(sources, folder
 
 @pytest.fixture(scope="module")
 def long_sources(tmp_path_factory):
-    folder, minute = (
-        tmp_path_factory.mktemp("long"),
-        np.tile(commands.noise(commands.RATE, 2), (60, 1)),
-    )
+    folder = tmp_path_factory.mktemp("long")
+    minute = np.tile(commands.noise(commands.RATE, 2), (60, 1))
     return [commands.sound(folder / f"{n}.wav", minute, subtype="PCM_16") for n in range(3)]
 
 
@@ -128,9 +121,8 @@ def two_under_way(process, folder):
 
     def both_write():
         found[:] = commands.workers_of(process)
-        return len(found) == 2 and all(
-            sum(commands.held_back(one, folder)) > 500_000 for one in found
-        )
+        held = [sum(commands.held_back(one, folder)) for one in found]
+        return len(held) == 2 and min(held) > 500_000
 
     commands.until(both_write, process)
     return found
@@ -173,13 +165,20 @@ def test_a_signal_in_the_middle_of_one_file_leaves_the_folder_as_it_was(long_sou
 
 
 @pytest.mark.exhaustive
-def test_a_worker_that_is_killed_costs_no_file(long_sources, folder):
+@pytest.mark.parametrize("victim", ["worker", "command"])
+def test_a_killed_worker_costs_no_file_and_workers_end_with_their_command(
+    long_sources, folder, victim
+):
     options = ["--out-dir", folder, "--workers", 2, "--channels", "each"]
     with commands.start("render", *long_sources, *options) as process:
-        two_under_way(process, folder)[0].kill()
+        workers = two_under_way(process, folder)
+        (workers[0] if victim == "worker" else process).kill()
+        # The workers have its pipes, too: they are closed once all have ended.
         stdout, stderr = process.communicate(timeout=60)
-    assert (process.returncode, stderr, len(stdout.splitlines())) == (0, "", len(long_sources))
-    assert sorted(commands.listing(folder)) == sorted(source.name for source in long_sources)
+    names = [source.name for source in long_sources] if victim == "worker" else []
+    assert sorted(commands.listing(folder)) == names
+    if victim == "worker":
+        assert (process.returncode, stderr, len(stdout.splitlines())) == (0, "", len(names))
 
 
 def test_a_file_that_ends_all_its_workers_is_named_and_costs_no_other(sources, folder, tmp_path):
@@ -189,14 +188,3 @@ def test_a_file_that_ends_all_its_workers_is_named_and_costs_no_other(sources, f
     assert done.stderr.count("\n") == 1, done.stderr
     assert f"{sources[2]}: its process died twice" in done.stderr
     assert sorted(commands.listing(folder)) == ["a.wav", "b.wav", "d.e.wav"]
-
-
-@pytest.mark.exhaustive
-def test_workers_end_by_themselves_where_the_command_was_killed(long_sources, folder):
-    options = ["--out-dir", folder, "--workers", 2, "--channels", "each"]
-    with commands.start("render", *long_sources, *options) as process:
-        two_under_way(process, folder)
-        process.kill()
-        # The workers have its pipes, too: they are closed once both have ended.
-        process.communicate(timeout=20)
-    assert not commands.listing(folder)

@@ -49,14 +49,8 @@ class Case:
         end_s = self.now_s + seconds
         while self.now_s < end_s:
             self.now_s += self.tick_s
-            self.made.maintain(
-                cast(Any, self.connection),
-                heard or monitor(HEADPHONES),
-                CUSHION,
-                (0.0, 0.0),
-                self.now_s,
-                runs=runs,
-            )
+            places = heard or monitor(HEADPHONES), CUSHION, (0.0, 0.0)
+            self.made.maintain(cast(Any, self.connection), *places, self.now_s, runs=runs)
         return self.made.offset.vibration_s, self.made.offset.reason
 
 

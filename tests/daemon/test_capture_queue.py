@@ -3,6 +3,7 @@
 import math
 import sys
 import threading
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,13 +12,8 @@ from hypothesis import settings as examples
 from hypothesis import strategies as st
 
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.daemon.capture_queue import (
-    UNASKED_S,
-    CaptureQueue,
-    Feed,
-    SoundGain,
-    undone_db,
-)
+from audioflinger_hook.daemon import capture_queue
+from audioflinger_hook.daemon.capture_queue import CaptureQueue, Feed, SoundGain, undone_db
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from device.clock import DelayState
 from device.units import Float32Array
@@ -36,14 +32,8 @@ class Live:
         self.mixed: list[Float32Array] = []
         self.felt: list[Float32Array] = []
         self.played: list[Float32Array] = []
-        self.engine = Engine(
-            feed.client(RATE_HZ, 2),
-            RATE_HZ,
-            settings,
-            clocks=STILL,
-            block_frames=BLOCK,
-            on_step=self._stepped,
-        )
+        told: Any = {"clocks": STILL, "block_frames": BLOCK, "on_step": self._stepped}
+        self.engine = Engine(feed.client(RATE_HZ, 2), RATE_HZ, settings, **told)
         feed.serve(self.engine)
         feed.opened(RATE_HZ, 2)
 
@@ -170,7 +160,7 @@ def test_without_an_output_sound_is_mixed_as_it_comes():
     sound = music(1.0)
     for block in range(100):
         live.feed.push(sound[block * BLOCK : (block + 1) * BLOCK], block * BLOCK_S)
-        if block * BLOCK_S > UNASKED_S:
+        if block * BLOCK_S > capture_queue.UNASKED_S:
             assert live.engine.frames == (block + 1) * BLOCK
 
 

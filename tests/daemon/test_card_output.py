@@ -50,13 +50,9 @@ class Rig:
     ) -> None:
         self.folder, self.cards = folder, Cards(folder / "asound")
         self.states, self.blocks = StateKeeper(0.0), 0
-        self.output = CardOutput(
-            config(f"hw:{name}", Settings(actuators=actuators), block_frames=256),
-            pcms.pcms["cushion_output"],
-            self.states,
-            root=self.cards.root,
-            **({"target": self.target} | options),
-        )
+        wanted = config(f"hw:{name}", Settings(actuators=actuators), block_frames=256)
+        known: Any = {"root": self.cards.root, "target": self.target} | options
+        self.output = CardOutput(wanted, pcms.pcms["cushion_output"], self.states, **known)
 
     def target(self, card: int, device: int) -> Target:
         return ToFile(self.path(card, device))

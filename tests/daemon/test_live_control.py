@@ -1,5 +1,6 @@
 """What pages ask of a daemon that runs: checked as its config, applied, undone, saved."""
 
+import math
 import signal
 import subprocess
 import sys
@@ -13,8 +14,9 @@ import pytest
 
 from audioflinger_hook.config.edits import LiveEdits
 from audioflinger_hook.daemon import live_control
-from audioflinger_hook.daemon.live_control import LiveControl
+from audioflinger_hook.daemon.live_control import PAUSE_S, LiveControl
 from audioflinger_hook.daemon.supervisor import Supervisor
+from audioflinger_hook.service.request_queue import WAITING_MAX
 from tests.service.test_watch import Client
 from tests.support.commands import start, until
 from tests.support.run_configs import config
@@ -22,6 +24,9 @@ from tests.support.run_configs import config
 CONFIG = """# mine
 gain_db = -3.0 # soft
 """
+
+
+JUNK: list[Any] = ["junk", 60, [], {"x": 1}, False, None]
 
 
 class Daemon:
@@ -137,7 +142,10 @@ def test_what_the_config_refuses_is_refused_in_its_words(daemon, changes, words)
 @pytest.mark.parametrize(
     "request_",
     [
-        *({}, {"set": {"gain_db": 0}, "undo": True}, {"mute": 1}),
+        *({}, {"set": {"gain_db": 0}, "undo": True}, {"mute": 1}, {"mute": True, "x": 1}),
+        *({"undo": value} for value in JUNK),
+        *({"save": value} for value in JUNK),
+        {"application": {"match": "\ud800", "feel": True}},
         *({"application": "x", "felt": True}, {"application": {"match": "x"}}),
         {"application": {"match": 5, "feel": True}},
         {"application": {"match": " ", "feel": True}},
@@ -268,8 +276,50 @@ def test_mute_ends_the_test_tone_as_well_and_a_tone_that_is_refused_does_not(con
     asking = threading.Thread(target=control.control, args=(asked,))
     asking.start()
     while asking.is_alive():
-        control.work()
+        control.work(0.0)
     assert (tone.poll() is not None) == ends
+
+
+@pytest.mark.parametrize("wanted", ["junk", True, 60, {"Hz": 60}, {"hz": math.nan}, {"level": 1}])
+def test_only_a_tone_as_documented_is_played(control, monkeypatch, wanted):
+    monkeypatch.setattr(subprocess, "Popen", None)
+    answer = control._carry_out({"tone": wanted})
+    assert answer["key"] == "tone"
+    assert "tone takes" in answer["error"] or "out of range" in answer["error"]
+
+
+def test_a_flood_of_values_is_carried_out_at_a_limited_rate_and_the_last_wins(control, monkeypatch):
+    done: list[object] = []
+
+    def carry_out(asked: object) -> dict[str, Any]:
+        done.append(asked)
+        return {"done": True}
+
+    monkeypatch.setattr(control, "_carry_out", carry_out)
+    answers: list[Any] = []
+
+    def ask(**request: Any) -> None:
+        control._waiting.put(request, answers.append)
+
+    for number in range(50):
+        ask(set={"gain_db": -number})
+        ask(set={"offset_ms": number})
+        ask(mute=number % 2 == 0)
+    assert answers == [{"done": True}] * 147
+    ask(undo=True)  # its effect depends on the values before
+    ask(set={"gain_db": -60})
+    assert control.rest_s(5.0) == 0.0
+    for now_s in (5.0, 5.0 + 0.9 * PAUSE_S, 5.0 + PAUSE_S):
+        control.work(now_s)
+    assert control.rest_s(5.0 + PAUSE_S) == pytest.approx(PAUSE_S)
+    assert done == [{"set": {"gain_db": -49}}, {"set": {"offset_ms": 49}}]
+    for number in range(3):
+        control.work(6.0 + number)
+    assert done[2:] == [{"mute": False}, {"undo": True}, {"set": {"gain_db": -60}}]
+    assert (control.rest_s(9.0), len(answers)) == (math.inf, 152)
+    for _ in range(WAITING_MAX + 1):
+        ask(undo=True)
+    assert "too many requests" in answers[-1]["error"]
 
 
 def test_a_tone_that_does_not_end_is_killed(control, monkeypatch):

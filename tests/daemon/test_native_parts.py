@@ -80,13 +80,9 @@ def test_the_first_thing_that_the_native_engine_cannot_do_is_named(changes, reas
     ],
 )
 def test_an_old_or_another_server_is_named_and_a_tap_of_over_eight_channels(kind, version, reason):
-    assert (
-        abilities.why_not_server(ServerSnapshot(kind, version, "", "", (), (), (), (), 0)) == reason
-    )
-    assert (abilities.why_not_tap(8), abilities.why_not_tap(9)) == (
-        "",
-        "the tap has 9 channels, more than 8",
-    )
+    server = ServerSnapshot(kind, version, "", "", (), (), (), (), 0)
+    assert (abilities.why_not_server(server), abilities.why_not_tap(8)) == (reason, "")
+    assert abilities.why_not_tap(9) == "the tap has 9 channels, more than 8"
 
 
 def test_missing_parts_are_named_with_what_to_install(monkeypatch, tmp_path):
@@ -166,18 +162,13 @@ def test_a_page_is_private_and_its_file_goes_with_it(tmp_path):
 
 def test_a_gain_rises_in_a_design_with_another_protection_only_once_that_one_plays(tmp_path):
     page = Page(tmp_path / "page", 2, 1, [0])
-    chains = Chains(
-        config(settings=Settings(gain_db=-20.0)), tmp_path, lambda *_: None, DriveDesigns()
-    )
+    quiet = config(settings=Settings(gain_db=-20.0))
+    chains = Chains(quiet, tmp_path, lambda *_: None, DriveDesigns())
     plan = ChainPlan.of(Settings(), Tap("desk", ("FL", "FR"), "desk"), 48_000)
     chain = cast(Any, SimpleNamespace(page=page, design=SimpleNamespace(plan=plan)))
     chains.current = cast(Any, SimpleNamespace(chain=chain))
-    for protection, gain_db, playing_db, next_db in (
-        ("off", -20.0, -20.0, -20.0),
-        ("on", -6.0, -20.0, -6.0),
-        ("on", -40.0, -40.0, -40.0),
-        ("off", -6.0, -6.0, -6.0),
-    ):
+    steps = [("off", -20.0, -20.0, -20.0), ("on", -6.0, -20.0, -6.0), ("on", -40.0, -40.0, -40.0)]
+    for protection, gain_db, playing_db, next_db in (*steps, ("off", -6.0, -6.0, -6.0)):
         rig: Any = {"rig": "consumer", "protection": protection} if protection == "on" else {}
         chains.follow(config(settings=Settings(gain_db=gain_db, **rig)))
         gains = [bank.controls.actuators[0].gain for bank in page.layout.banks]

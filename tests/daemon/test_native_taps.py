@@ -1,5 +1,7 @@
 """What the native engine taps, and how its chains are linked; on graphs that need no server."""
 
+from dataclasses import replace
+
 import pytest
 
 from audioflinger_hook.daemon.inputs.applications import Applications
@@ -37,16 +39,15 @@ def test_rules_choose_among_the_streams_of_the_sink_by_program_and_client():
     play(graph, 60, "a", 10, **{"application.name": "Game"})
     play(graph, 70, "b", 10, **{"application.process.binary": "mpv"})
     play(graph, 80, "Game", 30)  # by its node's name, as a JACK client has it
-    one = Applications((), 48_000, 2, channel_map="front-left,front-right", sink="desk")
+    every = Applications((), 48_000, 2, channel_map="front-left,front-right")
+    one = replace(every, sink="desk")
     for rules, outputs in (
         *((AppRules(("game",)), {61, 62}), (AppRules(exclude=("game",)), {71, 72})),
         (AppRules(("*",), ("binary:mpv",)), {61, 62}),
     ):
         mirrored = taps.tap_of(one, rules).mirrored(graph, "dac", INPUTS)
         assert {output for output, _ in mirrored} == outputs
-    anywhere = taps.tap_of(
-        Applications((), 48_000, 2, channel_map=one.channel_map), AppRules(("game",))
-    )
+    anywhere = taps.tap_of(every, AppRules(("game",)))
     assert {out for out, _ in anywhere.mirrored(graph, "dac", INPUTS)} == {61, 62, 81, 82}
     assert not anywhere.has_monitor
 

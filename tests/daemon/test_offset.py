@@ -39,17 +39,14 @@ def case(tmp_path):
 def test_it_is_never_below_0_without_drop_in_mode_nor_more_than_the_engines_can_delay(case):
     assert case.update(offset.Declared(0.0, 0.3, is_known=True)) == 0.0
     assert (case.update(BLUETOOTH, own_s=0.25), case.offset.sound_s) == (0.0, 0.0)
-    assert (
-        case.update(offset.Declared(offset.LONGEST_S, 0.0, is_known=True), own_s=-0.1)
-        == offset.LONGEST_S
-    )
+    longest = offset.Declared(offset.LONGEST_S, 0.0, is_known=True)
+    assert case.update(longest, own_s=-0.1) == offset.LONGEST_S
 
 
 def test_only_changes_of_more_than_5_ms_are_followed(case):
     first_s = case.update(BLUETOOTH)
-    assert (
-        case.update(offset.Declared(0.2 + 0.99 * offset.FOLLOWED_S, 0.0, is_known=True)) == first_s
-    )
+    hardly_later = offset.Declared(0.2 + 0.99 * offset.FOLLOWED_S, 0.0, is_known=True)
+    assert case.update(hardly_later) == first_s
     assert case.update(BLUETOOTH, own_s=OWN_S - 0.99 * offset.FOLLOWED_S) == first_s
     assert case.update(BLUETOOTH, own_s=None) == first_s  # no engine plays
     assert case.update(offset.Declared(0.08, 0.0, is_known=True)) == pytest.approx(0.08 - OWN_S)
@@ -60,9 +57,8 @@ def test_slow_changes_are_followed_before_they_add_up(case):
     errors_s = []
     for step in range(100):
         heard_s = 0.1 + 0.001 * step
-        errors_s.append(
-            abs(case.update(offset.Declared(heard_s, 0.0, is_known=True)) - (heard_s - OWN_S))
-        )
+        found_s = case.update(offset.Declared(heard_s, 0.0, is_known=True))
+        errors_s.append(abs(found_s - (heard_s - OWN_S)))
     assert max(errors_s) <= offset.FOLLOWED_S + 1e-9
 
 

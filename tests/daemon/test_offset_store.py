@@ -65,9 +65,7 @@ def test_no_content_of_the_file_stops_the_daemon(tmp_path_factory, content):
     OffsetStore(folder)
 
 
-def test_a_file_that_cannot_be_read_is_left_alone_and_without_a_folder_a_delay_lasts(
-    tmp_path,
-):
+def test_a_file_that_cannot_be_read_is_left_alone_and_without_a_folder_a_delay_lasts(tmp_path):
     (tmp_path / FILE).mkdir()
     assert "cannot be read" in OffsetStore(tmp_path).warning
     assert (tmp_path / FILE).is_dir()

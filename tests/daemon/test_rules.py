@@ -74,9 +74,8 @@ def test_a_browsers_call_is_left_out_while_its_film_is_felt(browser, server, sce
                 play(graph, nodes + 10 * at, "browser", 10, **known)
             else:
                 graph.apply([node(nodes, "microphone", "Stream/Input/Audio", **known)])
-    assert tapped(graph) == {
-        61 + 10 * at + side for at in felt(browser, server, scene) for side in (0, 1)
-    }
+    first = [61 + 10 * at for at in felt(browser, server, scene)]
+    assert tapped(graph) == {*first, *(port + 1 for port in first)}
     if 60 in graph.nodes:
         graph.apply([{"id": 90, "info": None}])
         assert 61 in tapped(graph)  # with the microphone, the call has ended
@@ -242,14 +241,10 @@ def test_a_rule_changes_profile_and_gain_and_nothing_else():
 
 def test_the_status_says_which_rule_acts_and_why_an_application_is_left_out():
     config = config_of(GAME, ApplicationRule(match="radio", feel=False))
-    snapshot = seen(
-        stream(1, "SuperTux"),
-        stream(2, "Radio"),
-        stream(3, "chime", role="event"),
-        stream(4, "Browser"),
-        stream(5, "Player"),
-        recording=[replace(stream(9, "Browser"), device_index=8, device_name="microphone")],
-    )
+    names = {1: "SuperTux", 2: "Radio", 4: "Browser", 5: "Player"}
+    playing = *(stream(*one) for one in names.items()), stream(3, "chime", role="event")
+    microphone = replace(stream(9, "Browser"), device_index=8, device_name="microphone")
+    snapshot = seen(*playing, recording=[microphone])
     shown = applications_in(snapshot, config, SOURCE, "dac", GAME)
     assert {one.name: (one.is_felt, one.rule) for one in shown} == {
         "SuperTux": (True, 'rule "super*"'),
@@ -259,14 +254,8 @@ def test_the_status_says_which_rule_acts_and_why_an_application_is_left_out():
         "Player": (True, ""),
     }
     assert not_left_out(shown) == ""
-    shown = applications_in(
-        replace(
-            snapshot, sink_inputs=(stream(4, "Browser", latency="1024/48000"), stream(5, "Browser"))
-        ),
-        config,
-        SOURCE,
-        "dac",
-    )
+    both = stream(4, "Browser", latency="1024/48000"), stream(5, "Browser")
+    shown = applications_in(replace(snapshot, sink_inputs=both), config, SOURCE, "dac")
     assert [(one.is_felt, one.rule) for one in shown] == [(True, "part left out: call")]
     assert not_left_out(shown) == ""
 

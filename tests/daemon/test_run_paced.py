@@ -18,19 +18,8 @@ from audioflinger_hook.daemon.recording import settings_from
 from device.drive.outputs import FADE_S
 from device.units import Float32Array
 from tests.daemon.test_run_recording import overlap, recorded, same_again
-from tests.support.commands import (
-    RATE,
-    Done,
-    call,
-    cushion,
-    listing,
-    noise,
-    refused,
-    sound,
-    start,
-    until,
-    vibration,
-)
+from tests.support import commands
+from tests.support.commands import RATE, call, cushion, listing, noise, refused, sound, start, until
 
 NO_SERVER = """
 import sys
@@ -48,7 +37,7 @@ def folder(tmp_path):
     return {"XDG_RUNTIME_DIR": str(tmp_path / "run"), "XDG_CONFIG_HOME": str(tmp_path / "config")}
 
 
-def run(env: dict[str, str], *arguments: object, **options: object) -> Done:
+def run(env: dict[str, str], *arguments: object, **options: object) -> commands.Done:
     return cushion("run", *arguments, prelude=NO_SERVER, env=env, **options)
 
 
@@ -65,7 +54,7 @@ def aligned(whole: Float32Array, wanted: Float32Array) -> Float32Array:
     return whole[int(np.argmax(np.fft.irfft(spectrum, size)[: len(whole)])) :][: len(wanted)]
 
 
-def rendered(source: Path, out: Path) -> Done:
+def rendered(source: Path, out: Path) -> commands.Done:
     """Render a file with the default profile of `cushion run`."""
     return call("render", source, out, "--profile", LIVE_DEFAULT)
 
@@ -88,7 +77,7 @@ def test_a_file_ends_by_itself_when_its_vibration_has_run_out(tmp_path, folder):
     out, record = tmp_path / "out.wav", tmp_path / "rec"
     done = run(folder, "--tap", f"file:{source}", "--device", f"wav:{out}", "--record", record)
     assert (done.code, told(done.stderr)) == (0, ["running"])
-    felt, wanted = vibration(out), vibration(tmp_path / "wanted.wav")
+    felt, wanted = commands.vibration(out), commands.vibration(tmp_path / "wanted.wav")
     assert np.array_equal(recorded(record, "device"), felt)
     facts = Capture(record).facts
     assert (facts["tap"], facts["device"]) == (f"file:{source}", f"wav:{out}")
@@ -116,11 +105,9 @@ def test_the_profile_is_cinema_unless_one_is_named_and_a_replay_needs_no_name(
 ):
     source, record = sound(tmp_path / "in.wav", noise(RATE // 4)), tmp_path / "rec"
     (tmp_path / "c.toml").write_text(text)
-    named = ("--config", tmp_path / "c.toml") if text else ()
-    done = run(
-        folder, "--tap", f"file:{source}", "--device", "twin", "--record", record, *named, *options
-    )
-    assert done.code == 0
+    named = ("--config", tmp_path / "c.toml", *options) if text else options
+    places = ("--tap", f"file:{source}", "--device", "twin", "--record", record)
+    assert run(folder, *places, *named).code == 0
     settings: Any = settings_from(Capture(record).facts)
     assert (settings.profile, settings.said) == (profile, said)
     assert settings.parameters == parameters_of(profile, dict.fromkeys(said, 5))
@@ -149,7 +136,7 @@ def test_what_was_recorded_of_a_capture_of_many_formats_comes_again(tmp_path, fo
         (b.frames.tobytes(), b.format, b.discontinuity) for b in two
     ]
     common = same_again(tmp_path / "rec", tmp_path / "out.wav")
-    assert vibration(tmp_path / "out.wav").shape == (common, 2)
+    assert commands.vibration(tmp_path / "out.wav").shape == (common, 2)
 
 
 @pytest.mark.exhaustive
@@ -165,7 +152,7 @@ def test_an_interrupted_run_leaves_whole_files(tmp_path, folder, number):
         process.send_signal(number)
         stdout, stderr = process.communicate(timeout=20)
     assert (process.returncode, stdout, told(stderr)) == (130, "", ["running", "interrupted"])
-    assert np.array_equal(recorded(record, "device"), vibration(out))
+    assert np.array_equal(recorded(record, "device"), commands.vibration(out))
     assert same_again(record, tmp_path / "again.wav") > RATE // 2
 
 
@@ -288,7 +275,7 @@ def test_while_a_file_plays_its_level_may_change_and_what_begins_anew_may_not(tm
         finally:
             process.kill()
     assert process.returncode == 130
-    assert len(vibration(out)) > 0
+    assert len(commands.vibration(out)) > 0
 
 
 COUNTED = """
@@ -305,7 +292,7 @@ def test_a_run_lasts_as_long_as_told_and_its_collection_looks_at_few_objects(tmp
     spared, looked_at = map(int, done.stderr.splitlines()[-1].split())
     assert spared > 20_000
     assert looked_at < 0.1 * spared  # then it takes some ms at most
-    assert 1.0 < len(vibration(tmp_path / "a.wav")) / RATE < 1.0 + BEFORE_S
+    assert 1.0 < len(commands.vibration(tmp_path / "a.wav")) / RATE < 1.0 + BEFORE_S
 
 
 THREE = """\
@@ -363,7 +350,7 @@ def test_status_tells_of_each_and_a_reload_reaches_them_without_a_gap(tmp_path, 
     assert before["protection"].keys() == right["protection"].keys()
     assert before["latency"]["driving_ms"] == 4.0
     assert (before["latency"]["delay_ms"], after["latency"]["delay_ms"]) == (15.0, 115.0)
-    felt = vibration(out)
+    felt = commands.vibration(out)
     assert not felt[:, 1].any()
     blocks = np.abs(felt[: len(felt) // 480 * 480]).reshape(-1, 480, 4).max(axis=1)
     sounding = np.flatnonzero(blocks[:, 2] > 0.1 * blocks[:, 2].max())

@@ -25,10 +25,8 @@ from tests.pipeline.test_framework_effects import effects_xml
 from tests.support.commands import call, noise, refused, vibration
 
 STILL = Clocks(lambda: 0.0, lambda: 0.0)
-OTHER = Settings(
-    channels="each",
-    parameters=TransformParameters(window_s=0.06, vibration_top_hz=150.0, partials_max=5),
-)
+PARAMETERS = TransformParameters(window_s=0.06, vibration_top_hz=150.0, partials_max=5)
+OTHER = Settings(channels="each", parameters=PARAMETERS)
 FORMATS = [(48_000, 2), (44_100, 2), (48_000, 1), (96_000, 6), (8_000, 1), (48_000, 2)]
 
 
@@ -39,13 +37,9 @@ class Run:
         self.recording = RunRecording(folder, settings, "default", "sink:haptic")
         self.recording.begin()
         self.feed = Feed(self.recording)
-        self.engine = Engine(
-            self.feed.client(samplerate, channels),
-            48_000,
-            settings,
-            clocks=STILL,
-            on_step=self.recording.hooks(samplerate, channels, of_mix=False)[0],
-        )
+        client = self.feed.client(samplerate, channels)
+        on_step, _ = self.recording.hooks(samplerate, channels, of_mix=False)
+        self.engine = Engine(client, 48_000, settings, clocks=STILL, on_step=on_step)
         self.feed.serve(self.engine)
         self.now_s = 0.0
 

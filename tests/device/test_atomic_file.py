@@ -1,5 +1,6 @@
 """Files appear whole under their name, or not at all."""
 
+import contextlib
 import errno
 import os
 import shutil
@@ -92,6 +93,24 @@ def test_the_mode_is_what_the_umask_leaves(tmp_path, way):
     finally:
         os.umask(before)
     assert stat.S_IMODE((tmp_path / "a").stat().st_mode) == 0o640
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o640, 0o664, 0o755])
+def test_a_file_keeps_mode_owner_and_attributes_and_gives_them_to_a_copy(tmp_path, way, mode):
+    path = tmp_path / "a"
+    path.write_bytes(b"old")
+    path.chmod(mode)
+    owner = (1234, 4321) if os.geteuid() == 0 else (os.geteuid(), os.getegid())
+    os.chown(path, *owner)
+    with contextlib.suppress(OSError):  # not every file system has them
+        os.setxattr(path, "user.note", b"mine")
+    noted = os.listxattr(path)
+    write_bytes_atomically(path, b"new")
+    write_bytes_atomically(tmp_path / "copy", b"old", path)
+    for one in (path, tmp_path / "copy"):
+        found = one.stat()
+        assert (stat.S_IMODE(found.st_mode), (found.st_uid, found.st_gid)) == (mode, owner)
+        assert os.listxattr(one) == noted
 
 
 def test_a_link_is_followed_and_stays(tmp_path, way):

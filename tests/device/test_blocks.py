@@ -138,16 +138,10 @@ def test_the_linear_model_moves_the_same_compiled_and_in_numpy(volts, blocksize)
     assert after == pytest.approx(expected_after, rel=1e-12, abs=1e-18)
 
 
-NO_MOTION = each(
-    volts=(np.zeros(8, np.float32), np.zeros((8, 1)), np.zeros(16)[::2]),
-    poles=(np.zeros((2, 5)), np.zeros((3, 6))),
-    state=(np.zeros(7), np.frombuffer(bytes(64))),
-    taps=(np.zeros((1, 3)), np.zeros((2, 4))),
-    moved=(np.zeros((1, 7)), np.zeros(8)),
-    start=(9, -1),
-    stop=(9, -1),
-    limit=("high",),
-)
+NO_MOTION = each(volts=(np.zeros(8, np.float32), np.zeros((8, 1)), np.zeros(16)[::2]))
+NO_MOTION += each(poles=(np.zeros((2, 5)), np.zeros((3, 6))), start=(9, -1), stop=(9, -1))
+NO_MOTION += each(taps=(np.zeros((1, 3)), np.zeros((2, 4))), moved=(np.zeros((1, 7)), np.zeros(8)))
+NO_MOTION += each(state=(np.zeros(7), np.frombuffer(bytes(64))), limit=("high",))
 
 
 @pytest.mark.parametrize(("name", "wrong"), NO_MOTION)

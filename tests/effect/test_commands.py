@@ -1,5 +1,3 @@
-"""Wrong codes, types, sizes, names and ranges in commands: EINVAL before the engine sees them."""
-
 from types import NoneType
 
 import numpy as np
@@ -7,16 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from audioflinger_hook.effect import interface
 from audioflinger_hook.effect.commands import CommandCheck
-from audioflinger_hook.effect.interface import (
-    EINVAL,
-    ENOSYS,
-    OK,
-    Command,
-    EffectFlag,
-    Parameter,
-    VendorCommand,
-)
+from audioflinger_hook.effect.interface import EINVAL, Command, EffectFlag, Parameter, VendorCommand
 from audioflinger_hook.effect.module import EffectModule
 from tests.support.effects import FakeClock, Probe, config
 
@@ -45,9 +36,7 @@ WRONG_VALUES: dict[object, tuple[object, ...]] = {
     "count": (3.0, 0),
     "mode": ("SOFT",),
     "bright": (1,),
-    "meter": (0.5,),
-    "Level": (0.5,),
-    b"level": (0.5,),
+    **dict.fromkeys(("meter", "Level", b"level"), (0.5,)),
 }
 WRONG_PAIRS = (None, (), ("level",), ("level", 0.5, 0.5), ["level", 0.5], {"level": 0.5})
 TAKE_NONE = (Command.ENABLE, Command.DISABLE, Command.RESET, Command.DUMP, Command.SET_PARAM_COMMIT)
@@ -95,19 +84,19 @@ RIGHT = [
 def test_what_is_right_reaches_the_engine_once(code, data):
     told = EffectFlag.INSERT | EffectFlag.VOLUME_CTRL | EffectFlag.DEVICE_IND
     probe, module = probe_and_module(told)
-    assert (module.command(code, data), len(probe.take())) == ((OK, None), 1)
+    assert (module.command(code, data), len(probe.take())) == ((interface.OK, None), 1)
 
 
 def test_an_effect_that_asked_for_neither_volume_nor_device_is_not_told_of_them():
     probe, module = probe_and_module()
-    assert module.command(Command.SET_VOLUME, (0.5,)) == (ENOSYS, None)
-    assert (module.command(Command.SET_DEVICE, 2), probe.take()) == ((ENOSYS, None), [])
+    assert module.command(Command.SET_VOLUME, (0.5,)) == (interface.ENOSYS, None)
+    assert (module.command(Command.SET_DEVICE, 2), probe.take()) == ((interface.ENOSYS, None), [])
 
 
 @pytest.mark.parametrize("reply", [None, "x", True, 3 + 0j, np.float64(0.5)])
 def test_a_reply_of_the_wrong_type_to_get_param_is_named_and_not_handed_on(reply):
     probe, module = probe_and_module()
-    probe.replies[Command.GET_PARAM] = (OK, reply)
+    probe.replies[Command.GET_PARAM] = (interface.OK, reply)
     assert module.command(Command.GET_PARAM, "level") == (EINVAL, None)
     assert (module.complaint, module.bypassed) == ("answered GET_PARAM level with nonsense", "")
 
@@ -132,8 +121,8 @@ def test_no_command_raises_and_only_right_ones_reach_the_engine(code, data):
     probe, module = probe_and_module()
     status, reply = module.command(code, data)
     seen = probe.take()
-    if CommandCheck(probe.descriptor).status(code, data) != OK:
-        assert (status, reply) in [(EINVAL, None), (ENOSYS, None)]
+    if CommandCheck(probe.descriptor).status(code, data) != interface.OK:
+        assert (status, reply) in [(EINVAL, None), (interface.ENOSYS, None)]
         assert seen == []
     else:
         assert len(seen) <= 1

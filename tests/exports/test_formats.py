@@ -11,9 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from audioflinger_hook.exports import ahap, haptic_clip, vibration_xml
-from audioflinger_hook.exports.glides import Onset, VibrationCurve
+from audioflinger_hook.exports import ahap, haptic_clip, parametric, tracks, vibration_xml
+from audioflinger_hook.exports.decimals import decimal_text, point_texts
+from audioflinger_hook.exports.glides import Onset, VibrationCurve, low_pass
+from audioflinger_hook.exports.hjif import effects_of
 from audioflinger_hook.exports.options import FORMATS
+from audioflinger_hook.exports.tracks import PartialTrack
 from device.errors import UsageError
 from tests.support.exports import RATE_HZ, check, exported, read_wave, scene
 
@@ -78,6 +81,42 @@ def test_a_device_band_moves_all_frequencies_into_it(name: str, tmp_path: Path) 
         whole_hz = re.findall(rb'"frequency_modulation":(\d+)', content)
         assert whole_hz
         assert all(80 <= int(hz) <= 230 for hz in whole_hz)
+
+
+@given(st.lists(st.floats(-2.0, 9_000.0), min_size=1, max_size=50), st.integers(1, 7))
+def test_numbers_have_the_digits_of_rounded_floats(numbers: list[float], places: int) -> None:
+    numbers += [one * 10.0**-place for one in numbers for place in (3, 5, 7)]
+    column, rounded = np.array(numbers), np.round(numbers, places).tolist()
+    (texts,) = point_texts([decimal_text(column, places)] * 2, np.array([column.size]))
+    expected = json.dumps([[one, one] for one in rounded], separators=(",", ":"))
+    assert b"[%b]" % texts == expected.encode()
+
+
+def test_tracks_computed_together_are_those_of_tracks_alone(tmp_path, monkeypatch):
+    rng, passes, contents = np.random.default_rng(4), list[int](), set[bytes]()
+    sound = np.hstack((scene(3.0), 0.1 * rng.standard_normal((3 * RATE_HZ, 1)).astype(np.float32)))
+
+    def counted(design: Any, signal: Any, state: Any) -> Any:
+        passes[-1] += 1
+        return low_pass(design, signal, state)
+
+    monkeypatch.setattr(tracks, "low_pass", counted)
+    for together in (0.0, 2.0, parametric.TOGETHER_S):
+        passes.append(0)
+        monkeypatch.setattr(parametric, "TOGETHER_S", together)
+        exported(sound, tmp_path / "out", "partials", channels="each")
+        contents.add((tmp_path / "out").read_bytes())
+    assert len(contents) == 1
+    assert passes[-1] < 0.3 * passes[0]  # which are much of the time
+
+
+@pytest.mark.parametrize("turns", [0.0, 0.2499999, 0.7499999, 0.75])
+def test_phases_of_hjif_stay_under_a_whole_turn(turns: float) -> None:
+    times, ones = np.linspace(0.0, 3.0, 31), np.ones(31)
+    track = PartialTrack(0, False, times, 100 * ones, ones, turns + 100 * times)
+    effects = effects_of(track)
+    assert all(0.0 <= one["phase"] <= 6.28318 for one in effects)
+    assert effects[-1]["position"] + effects[-1]["keyframes"][-1]["relative_position"] == 3_000
 
 
 @pytest.mark.parametrize("channels", ["mono", "each"])

@@ -1,5 +1,3 @@
-"""Tracks: their states, start threshold, underruns, ramps, draining, and what is refused."""
-
 import threading
 from typing import Any
 
@@ -374,9 +372,8 @@ class AnyClient(RuleBasedStateMachine):
             if not report.tracks_mixed:
                 assert not audio.any()
                 continue
-            ramped = TrackState.PAUSED in (before, self.track.mixed_state) or (
-                before is TrackState.RESUMING
-            )
+            ramped = TrackState.PAUSED in (before, self.track.mixed_state)
+            ramped |= before is TrackState.RESUMING
             if not ramped and audio[0]:
                 sounding = audio[audio != 0.0]
                 expected = np.arange(sounding[0], sounding[0] + len(sounding))

@@ -5,7 +5,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +22,8 @@ from tools.live_page import Monitor
 LIMIT_S = 60.0
 
 STATUS = Status(
-    "0.1.0",
-    1,
-    DaemonState.RUNNING,
-    "",
-    1.0,
-    Endpoint("default", "desktop.monitor"),
-    Endpoint("sink:haptic", "haptic"),
+    *("0.1.0", 1, DaemonState.RUNNING, "", 1.0),
+    *(Endpoint("default", "desktop.monitor"), Endpoint("sink:haptic", "haptic")),
     levels=Levels(Level(-6.0, -9.0), Level(-12.0, -15.0)),
     buffer_times=BufferTimes(0.2, 0.4, 1.0, 10.7, 2.0, (1, 2, 3, 4, 5, 6, 6, 6, 6, 6), 0.004, 1),
     latency=LatencyBudget.of(delay_line_ms=3.0),
@@ -46,14 +41,8 @@ class Settings:
 
     def frame(self, missed: int, *, in_memory: bool) -> tuple[bytes, bool]:
         self.frames += 1
-        frame = {
-            "state": "running",
-            "level": 1.0,
-            "sound": [[0.5, 0.125]] * 2,
-            "vibration": [[0.25, 0.03]],
-            "partials": [[440, 100, 0.5]],
-            "missed": missed,
-        }
+        frame = {"state": "running", "level": 1.0, "sound": [[0.5, 0.125]] * 2}
+        frame |= {"vibration": [[0.25, 0.03]], "partials": [[440, 100, 0.5]], "missed": missed}
         return json.dumps({"frame": frame}).encode() + b"\n", False
 
     def watched_by(self, page: str) -> None:
@@ -130,15 +119,20 @@ class Page(Monitor):
         text = answer.decode("latin-1")
         return (int(text.split()[1]) if text.startswith("HTTP/") else 0), text
 
-    def live(self, **headers: str) -> ClientConnection:
-        """An open live connection, as the page's own script opens it."""
-        return connect(
-            f"ws://{self.host}/live",
-            additional_headers={"Origin": f"http://{self.host}", "Cookie": self.cookie, **headers},
-            compression=None,
-            max_size=1 << 20,
-            open_timeout=LIMIT_S,
-        )
+    def live(self, **headers: str) -> AbstractContextManager[ClientConnection]:
+        """An open live connection with the key, as the page's own script opens it."""
+        return self.showing({"key": self.key}, **headers)
+
+    @contextmanager
+    def showing(self, shown: Any, **headers: str) -> Iterator[ClientConnection]:
+        """A live connection whose first message is this one; None: without a message."""
+        headers = {"Origin": f"http://{self.host}", **headers}
+        options: Any = {"compression": None, "max_size": 1 << 20, "open_timeout": LIMIT_S}
+        url = f"ws://{self.host}/live"
+        with connect(url, additional_headers=headers, **options) as live:
+            if shown is not None:
+                live.send(json.dumps(shown))
+            yield live
 
 
 @contextmanager

@@ -4,6 +4,7 @@ import ctypes
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,15 +95,10 @@ def driven_design(
     each: bool = False,
 ) -> bytes:
     """The transform of the cinema profile, and actuators with these drives."""
-    return core_design(
-        rate_hz,
-        channels,
-        transform=LiveDesign.of(parameters_of("cinema"), rate_hz).records(),
-        each=each,
-        mixes=source_mixes(source_weights(channels, sides)) if sides else (),
-        drives=drives,
-        delay_frames_max=rate_hz,
-    )
+    transform = LiveDesign.of(parameters_of("cinema"), rate_hz).records()
+    mixes = source_mixes(source_weights(channels, sides)) if sides else ()
+    told: Any = {"transform": transform, "each": each, "mixes": mixes, "drives": drives}
+    return core_design(rate_hz, channels, delay_frames_max=rate_hz, **told)
 
 
 def any_design(kind: str, rate_hz: int, channels: int) -> bytes:

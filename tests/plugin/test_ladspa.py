@@ -1,5 +1,3 @@
-"""The plugin as a LADSPA host sees it: the bytes of the transform, and no way to stop a host."""
-
 import ctypes
 import os
 from collections.abc import Callable, Iterator
@@ -14,6 +12,7 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, parameters_of
 from audioflinger_hook.core.compiled_core import Core
+from audioflinger_hook.core.design import core_design
 from audioflinger_hook.core.structures import Controls
 from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.drive.drive import driven_rigs
@@ -21,27 +20,8 @@ from audioflinger_hook.mixer.layouts import source_weights
 from audioflinger_hook.transform import HapticTransform
 from device.drive.exposure import DoseSums
 from device.drive.safety import SafetyState
-from tests.plugin.hosting import (
-    DESIGNS,
-    LATENCY,
-    ODD,
-    PROFILES,
-    RATES_HZ,
-    SOUND_PEAK,
-    VIBRATION_PEAK,
-    Floats,
-    Instance,
-    any_design,
-    any_lengths,
-    any_sound,
-    damaged,
-    descriptors,
-    driven_design,
-    several_drives,
-    split,
-    vibration,
-    write_design,
-)
+from tests.plugin import hosting
+from tests.plugin.hosting import PROFILES, any_design, any_lengths, any_sound, several_drives, split
 from tests.support.programs import printed
 
 RATE_HZ = 48_000
@@ -54,14 +34,14 @@ CLICK = 0.02
 def designs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("data")
     for profile in PROFILES:
-        write_design(folder, profile, RATE_HZ)
+        hosting.write_design(folder, profile, RATE_HZ)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_DATA_HOME", str(folder))
         yield folder
 
 
 SOUND = any_sound(np.random.default_rng(1), RATE_HZ, 2 * RATE_HZ, 2, odd=())
-Plug = Callable[[str], Instance]
+Plug = Callable[[str], hosting.Instance]
 
 
 @pytest.fixture
@@ -69,12 +49,12 @@ def plug() -> Iterator[Plug]:
     """Makes instances of a variant, which end with the test."""
     with ExitStack() as opened:
         yield lambda variant: opened.enter_context(
-            closing(Instance(f"haptic_cushion_{variant}", RATE_HZ))
+            closing(hosting.Instance(f"haptic_cushion_{variant}", RATE_HZ))
         )
 
 
 seeds = st.integers(0, 2**32 - 1)
-rates_hz = st.sampled_from(RATES_HZ) | st.integers(8_000, 192_000)
+rates_hz = st.sampled_from(hosting.RATES_HZ) | st.integers(8_000, 192_000)
 FRAMES = 100_000
 
 
@@ -84,8 +64,8 @@ def test_a_variant_gives_the_bytes_of_ctypes_at_any_rate_with_any_blocks_sound_a
 ) -> None:
     rng = np.random.default_rng(seed)
     sound = any_sound(rng, rate_hz, FRAMES, 2)
-    wanted = Core(write_design(designs, profile, rate_hz).read_bytes()).process(sound)[:, 0]
-    instance = Instance(f"haptic_cushion_{profile}", rate_hz)
+    wanted = Core(hosting.write_design(designs, profile, rate_hz).read_bytes()).process(sound)[:, 0]
+    instance = hosting.Instance(f"haptic_cushion_{profile}", rate_hz)
     # decibels, milliseconds: what is beyond the range counts as its end, what is no number as 0
     gain_db, gain = [(0.0, 1.0), (np.nan, 1.0), (1e30, 10.0), (-np.inf, 1e-3)][rng.integers(4)]
     delays = [(0.0, 0), (np.nan, 0), (np.inf, 1), (-1e30, 0), (1_000.0, 1)]
@@ -107,14 +87,14 @@ def test_activate_begins_a_new_stream_whose_inputs_may_be_the_outputs(plug: Plug
     instance.run(SOUND[: RATE_HZ // 3])
     instance.activate()
     parts = [instance.run(part, in_place=True) for part in split(SOUND, (480, 5_000))]
-    assert np.array_equal(np.concatenate(parts)[:, 1], vibration(SOUND, "paper", RATE_HZ))
+    assert np.array_equal(np.concatenate(parts)[:, 1], hosting.vibration(SOUND, "paper", RATE_HZ))
 
 
 def test_mono_takes_one_channel(plug: Plug) -> None:
     one = plug("mono")
     assert one.channels == 1
     got = np.concatenate([one.run(part) for part in split(SOUND[:, :1], (1024,))])
-    assert np.array_equal(got[:, 0], vibration(SOUND[:, :1], LIVE_DEFAULT, RATE_HZ))
+    assert np.array_equal(got[:, 0], hosting.vibration(SOUND[:, :1], LIVE_DEFAULT, RATE_HZ))
 
 
 def test_it_reports_latency_and_peaks(plug: Plug) -> None:
@@ -123,16 +103,16 @@ def test_it_reports_latency_and_peaks(plug: Plug) -> None:
     instance.controls[DELAY] = 10.0
     for _ in range(20):
         instance.run(SOUND[:1024])
-    delayed_frames = instance.controls[LATENCY]
-    assert 0.005 * RATE_HZ < controls[LATENCY] < 0.012 * RATE_HZ
-    assert delayed_frames == controls[LATENCY] + 480.0
+    delayed_frames = instance.controls[hosting.LATENCY]
+    assert 0.005 * RATE_HZ < controls[hosting.LATENCY] < 0.012 * RATE_HZ
+    assert delayed_frames == controls[hosting.LATENCY] + 480.0
     loudest_db = 20.0 * np.log10(np.abs(SOUND).max())
     # it falls by 20 dB a second
-    assert loudest_db - 12.0 < controls[SOUND_PEAK] <= loudest_db + 0.01
-    assert controls[VIBRATION_PEAK] <= 20.0 * np.log10(np.abs(got).max()) + 0.01
+    assert loudest_db - 12.0 < controls[hosting.SOUND_PEAK] <= loudest_db + 0.01
+    assert controls[hosting.VIBRATION_PEAK] <= 20.0 * np.log10(np.abs(got).max()) + 0.01
 
 
-def steady(instance: Instance, blocks: int, frames: int = 1024) -> Floats:
+def steady(instance: hosting.Instance, blocks: int, frames: int = 1024) -> hosting.Floats:
     """The vibration of a tone that goes on, block by block."""
     at_s = np.arange(blocks * frames) / RATE_HZ
     tone = (0.5 * np.sin(2 * np.pi * 200.0 * at_s)).astype(np.float32)
@@ -168,16 +148,16 @@ def test_delay_and_bypass_change_without_a_click(plug: Plug, control: int, value
 
 def daemon_instance(
     folder: Path, monkeypatch: pytest.MonkeyPatch, design: bytes, page: Page, rate_hz: int
-) -> Instance:
+) -> hosting.Instance:
     """The daemon's plugin with its design and page."""
     path = folder / "design"
     path.write_bytes(design)
     monkeypatch.setenv("HAPTIC_CUSHION_DESIGN", str(path))
     monkeypatch.setenv("HAPTIC_CUSHION_PAGE", str(page.path))
-    return Instance("haptic_cushion_daemon", rate_hz)
+    return hosting.Instance("haptic_cushion_daemon", rate_hz)
 
 
-Daemon = Callable[..., tuple[Page, Instance]]
+Daemon = Callable[..., tuple[Page, hosting.Instance]]
 
 
 @pytest.fixture
@@ -196,12 +176,12 @@ def daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Daemon]:
         yield make
 
 
-def padded(sound: Floats) -> Floats:
+def padded(sound: hosting.Floats) -> hosting.Floats:
     """A sound with as many channels as the plugin has."""
     return np.pad(sound, ((0, 0), (0, 8 - sound.shape[1])))
 
 
-UNDRIVEN = driven_design(RATE_HZ, 2, (), [None])
+UNDRIVEN = hosting.driven_design(RATE_HZ, 2, (), [None])
 HEARS, FADES = round(0.2 * RATE_HZ), round(0.04 * RATE_HZ)  # see daemon_core.c
 
 
@@ -280,7 +260,7 @@ def test_a_host_that_opens_the_plugin_again_gets_the_latest_design(daemon: Daemo
     page, instance = daemon(UNDRIVEN, 2, 1, [0])
     change(page, 1, any_design("protected", RATE_HZ, 2))
     instance.close()
-    again = Instance("haptic_cushion_daemon", RATE_HZ)
+    again = hosting.Instance("haptic_cushion_daemon", RATE_HZ)
     assert page.layout.playing == 1
     again.close()
 
@@ -288,7 +268,7 @@ def test_a_host_that_opens_the_plugin_again_gets_the_latest_design(daemon: Daemo
 @pytest.mark.sweep
 @pytest.mark.parametrize("channels", [6, 2])
 @settings(max_examples=5)
-@given(seed=seeds, rate_hz=rates_hz, kind=st.sampled_from(DESIGNS))
+@given(seed=seeds, rate_hz=rates_hz, kind=st.sampled_from(hosting.DESIGNS))
 @example(seed=0, rate_hz=176_400, kind="several")  # its blocks have few divisors
 def test_the_daemons_variant_gives_the_bytes_of_ctypes_whatever_it_plays(
     tmp_path_factory: pytest.TempPathFactory, seed: int, rate_hz: int, kind: str, channels: int
@@ -299,15 +279,15 @@ def test_the_daemons_variant_gives_the_bytes_of_ctypes_whatever_it_plays(
     with pytest.MonkeyPatch.context() as patch:
         instance = daemon_instance(folder, patch, design, page, rate_hz)
     controls = page.controls
-    controls.sound_gain = rng.choice([1.0, 0.7, *ODD])
+    controls.sound_gain = rng.choice([1.0, 0.7, *hosting.ODD])
     for part in np.split(sound, [rng.integers(1, FRAMES)]):
         for one in controls.actuators[:3]:  # one value in three is unusable
-            one.gain = rng.choice([*rng.uniform(-1.0, 1.0, 10), *ODD])
-            one.delay_frames = rng.choice([*rng.uniform(0.0, 2_000.0, 10), *ODD])
+            one.gain = rng.choice([*rng.uniform(-1.0, 1.0, 10), *hosting.ODD])
+            one.delay_frames = rng.choice([*rng.uniform(0.0, 2_000.0, 10), *hosting.ODD])
             one.source = (0, 1, 2, 2**63)[rng.integers(4)]
             one.audible, one.restores = (1, 0, 2**63)[rng.integers(3)], rng.integers(2)
             for name, _ in one.safety._fields_:
-                setattr(one.safety, name, rng.choice([*rng.uniform(0.0, 60.0, 10), *ODD]))
+                setattr(one.safety, name, rng.choice([*rng.uniform(0.0, 60.0, 10), *hosting.ODD]))
         ctypes.memmove(core._controls, ctypes.addressof(controls), ctypes.sizeof(Controls))
         wanted, lengths = core.process(part), any_lengths(rng, len(part))
         got = np.concatenate([instance.run(padded(some)) for some in split(part, lengths)])
@@ -321,8 +301,26 @@ def test_the_daemons_variant_gives_the_bytes_of_ctypes_whatever_it_plays(
     page.close()
 
 
+@pytest.mark.parametrize("sample", [*hosting.ODD, 3e38])
+@pytest.mark.parametrize("kind", [*hosting.DESIGNS, "without transform"])
+def test_what_is_no_usable_sample_reaches_no_actuator(
+    daemon: Daemon, kind: str, sample: float
+) -> None:
+    only = core_design(RATE_HZ, 2, drives=several_drives(RATE_HZ)[:2])
+    design = only if kind == "without transform" else any_design(kind, RATE_HZ, 2)
+    page, instance = daemon(design, 2, 3, [0, 0, 0])
+    page.set_audible(True)
+    for sound in (
+        np.full((4_800, 2), sample),
+        any_sound(np.random.default_rng(1), 4_800, 4_800, 2),
+    ):
+        got = instance.run(padded(sound))
+        assert np.isfinite(got).all()
+        assert np.abs(got).max() <= 1.0
+
+
 def test_an_actuator_follows_the_daemons_page_and_begins_silent(daemon: Daemon) -> None:
-    page, instance = daemon(driven_design(RATE_HZ, 2, (), [None, None]), 2, 1, [0, 0])
+    page, instance = daemon(hosting.driven_design(RATE_HZ, 2, (), [None, None]), 2, 1, [0, 0])
     sound = padded(SOUND[:48_000])
     assert not instance.run(sound).any()
     page.set_audible(True)
@@ -340,7 +338,7 @@ def test_an_actuator_follows_the_daemons_page_and_begins_silent(daemon: Daemon) 
 
 def test_a_coil_stays_hot_in_another_process_and_a_new_day_begins_meanwhile(daemon: Daemon) -> None:
     drives = several_drives(RATE_HZ)
-    page, instance = daemon(driven_design(RATE_HZ, 2, (), drives), 2, 1, [0, 0, 0])
+    page, instance = daemon(hosting.driven_design(RATE_HZ, 2, (), drives), 2, 1, [0, 0, 0])
     rig = driven_rigs(drives, page.controls, page.readings, 1)[1]
     assert rig
     rig.restore([SafetyState(90.0, 50.0, DoseSums(60.0, 5.0, 25.0))])
@@ -357,7 +355,7 @@ def test_a_coil_stays_hot_in_another_process_and_a_new_day_begins_meanwhile(daem
     assert state.dose.time_s == pytest.approx(0.01, abs=1e-3)
     instance.close()
     rig.keep(0.0)  # a host may open the plugin again on the same page
-    again = Instance("haptic_cushion_daemon", RATE_HZ)
+    again = hosting.Instance("haptic_cushion_daemon", RATE_HZ)
     again.run(padded(SOUND[:480]))
     (state,) = rig.safety_states()
     assert state.coil_c == pytest.approx(90.0, abs=0.2)
@@ -368,7 +366,7 @@ def test_a_coil_stays_hot_in_another_process_and_a_new_day_begins_meanwhile(daem
 def test_the_daemons_transform_mixes_as_the_python_engine_does(daemon: Daemon) -> None:
     sources, channels = ("mix", "left", "front"), 6
     weights = source_weights(channels, sources)
-    design = driven_design(RATE_HZ, channels, sources, [None] * 3)
+    design = hosting.driven_design(RATE_HZ, channels, sources, [None] * 3)
     page, instance = daemon(design, channels, 3, [0, 1, 2])
     page.set_audible(True)
     sound = np.repeat(SOUND[:, :1], channels, axis=1)
@@ -399,11 +397,11 @@ def test_a_host_may_end_what_was_not_instantiated_as_ffmpeg_does() -> None:
 
 
 def test_without_a_design_there_is_no_plugin_with_a_bad_one_silence_and_why(tmp_path: Path) -> None:
-    good = write_design(tmp_path / "good", "paper", RATE_HZ).read_bytes()
-    other = write_design(tmp_path, "paper", 44_100).read_bytes()
-    unusable = damaged(good) | {"cannot be read": b"", "another samplerate": other}
+    good = hosting.write_design(tmp_path / "good", "paper", RATE_HZ).read_bytes()
+    other = hosting.write_design(tmp_path, "paper", 44_100).read_bytes()
+    unusable = hosting.damaged(good) | {"cannot be read": b"", "another samplerate": other}
     for reason, content in unusable.items():
-        write_design(tmp_path / reason, "paper", RATE_HZ).write_bytes(content)
+        hosting.write_design(tmp_path / reason, "paper", RATE_HZ).write_bytes(content)
     folders = [tmp_path / "none", tmp_path / "good", *(tmp_path / reason for reason in unusable)]
     refused, played, *silent = tried(*({"XDG_DATA_HOME": str(folder)} for folder in folders))
     assert refused[0] == "refused"
@@ -419,7 +417,7 @@ def test_other_channels_give_silence_another_page_nothing_and_an_empty_name_is_n
     tmp_path: Path,
 ) -> None:
     design, page = tmp_path / "design", tmp_path / "page"
-    design.write_bytes(driven_design(RATE_HZ, 8, (), [None]))
+    design.write_bytes(hosting.driven_design(RATE_HZ, 8, (), [None]))
     variables = {"HAPTIC_CUSHION_DESIGN": str(design)}
     ((did, said),) = tried(variables)
     assert did == "silent"
@@ -429,11 +427,11 @@ def test_other_channels_give_silence_another_page_nothing_and_an_empty_name_is_n
     ((did, said),) = tried(paths, label="haptic_cushion_daemon")
     assert did == "refused"
     assert "the daemon's page cannot be used: it is of another version" in said
-    write_design(tmp_path / "cushion", "paper", RATE_HZ)
+    hosting.write_design(tmp_path / "cushion", "paper", RATE_HZ)
     unnamed = {"XDG_DATA_HOME": str(tmp_path / "cushion"), "HAPTIC_CUSHION_PAGE": ""}
     assert tried(unnamed, label="haptic_cushion_daemon") == [("played", "")]
 
 
 def test_the_variants_are_those_that_hosts_and_the_daemon_ask_for() -> None:
     labels = [f"haptic_cushion_{name}" for name in (*PROFILES, "mono", "daemon")]
-    assert list(descriptors()) == labels
+    assert list(hosting.descriptors()) == labels

@@ -1,17 +1,22 @@
 """Calls, alerts and [[application]] rules on real servers."""
 
+import os
+import shutil
+import signal
 import time
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
+import soundfile
 
-from tests.servers.daemons import cushion, felt_now, running, tone
-from tests.servers.listening import more, playing, recording, wait_for
+from tests.servers.daemons import cushion, felt_now, program, running, tone
+from tests.servers.listening import RATE_HZ, more, playing, recording, wait_for
 
 pytestmark = [pytest.mark.servers]
 
 RULES = '[[application]]\nmatch = "Super*"\nprofile = "game"\ngain_db = -3\n'
+RULE = '[[application]]\nmatch = "{}"\nfeel = false\n'
 SWITCH = "[live]\nfeel_calls_and_alerts = true\n"
 SOON_S = 0.5  # a rule acts within this time
 
@@ -45,6 +50,31 @@ def test_a_call_or_alert_is_never_felt_while_music_is(pipewire, role, why, tmp_p
             assert (shown.is_felt, shown.rule) == (False, why)
         with playing(pipewire, "desktop", tone(110.0, 20.0)):
             wait_for(lambda: felt_now(felt), "vibration of music")
+
+
+@pytest.mark.parametrize("engine", ["python", "native"])
+@pytest.mark.parametrize("name", [b"Caf\xe9", b"\xff\xfe"], ids=ascii)
+def test_an_application_whose_name_is_not_utf_8_is_felt_and_named_in_rules(
+    pipewire, engine, name, tmp_path
+):
+    path, wav = os.fsencode(tmp_path / "") + b"/" + name, tmp_path / "wav"
+    shown = name.decode("utf-8", "replace")
+    shutil.copy(str(shutil.which("pw-cat")), path)  # PipeWire names a stream after its program
+    soundfile.write(wav, tone(110.0, 60.0), RATE_HZ, format="WAV")
+    play = (path, "-p", "--target", "desktop", wav)
+    with (
+        program(pipewire.environment, *play),
+        daemon_with(pipewire, tmp_path, "", engine=engine) as (daemon, felt),
+    ):
+        daemon.wait(lambda status: application(status, shown), "the application")
+        wait_for(lambda: felt_now(felt), "its vibration")
+        assert cushion(pipewire, "devices").returncode == 0
+        with playing(pipewire, "desktop", tone(220.0, 20.0), name="Plain"):
+            daemon.wait(lambda status: application(status, "Plain"), "another application")
+        (tmp_path / "config.toml").write_text(RULE.format(shown))
+        daemon.process.send_signal(signal.SIGHUP)
+        ruled = "left out in the config"
+        daemon.wait(lambda status: application(status, shown).rule == ruled, "the rule")
 
 
 @pytest.mark.parametrize("recorder", ["Chromium", "Firefox"])

@@ -126,9 +126,8 @@ def test_the_menu_has_an_entry_with_an_icon_that_opens_the_page(environ, tmp_pat
 def test_the_packaged_entry_and_icon_are_the_program_s_and_words_are_quoted():
     share = ROOT / "share"
     assert (share / "applications/haptic-cushion.desktop").read_text() == desktop_entry.page_entry()
-    assert (
-        share / "icons/hicolor/scalable/apps/haptic-cushion.svg"
-    ).read_bytes() == desktop_entry.icon_bytes()
+    icon = share / "icons/hicolor/scalable/apps/haptic-cushion.svg"
+    assert icon.read_bytes() == desktop_entry.icon_bytes()
     assert desktop_entry.exec_line(["/a/b", "100%"]) == "/a/b 100%%"
     assert desktop_entry.exec_line(["/a b/c", "", "it's"]) == '"/a b/c" "" "it\'s"'
     assert desktop_entry.exec_line(['$"`\\']) == r'"\\$\\"\\`\\\\"'

@@ -9,19 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from audioflinger_hook.service.install import (
-    FORGET,
-    MARK,
-    START,
-    UDEV_COMMAND,
-    UDEV_PATH,
-    UDEV_RULE,
-    install,
-    own_command,
-    restore,
-    systemd_version,
-    unit_text,
-)
+from audioflinger_hook.service import install as units
+from audioflinger_hook.service.install import FORGET, MARK, UDEV_PATH, install, own_command, restore
 from device.errors import UsageError, WriteError
 from device.stream.callback_thread import PRIORITY
 
@@ -55,11 +44,11 @@ def complaints(text: str, folder: Path) -> str:
 
 @needs_systemd
 def test_systemd_has_nothing_to_say_about_the_unit(tmp_path, environ):
-    version = systemd_version()
+    version = units.systemd_version()
     assert version > 200
     path = install([], [sys.executable], environ, version).path
     assert complaints(path.read_text(), tmp_path) == ""
-    text = unit_text((sys.executable, "-m", "audioflinger_hook", "run"), STATE)
+    text = units.unit_text((sys.executable, "-m", "audioflinger_hook", "run"), STATE)
     assert complaints(text, tmp_path) == ""
     assert "Nonsense" in complaints(text.replace("UMask=", "Nonsense="), tmp_path)
 
@@ -73,18 +62,18 @@ def test_systemd_understands_every_name_and_argument(tmp_path):
     program.write_text("#!/bin/sh\n")
     program.chmod(0o755)
     arguments = ("--config", "a \"b\" \\ $X ${Y} %h 'c'", ";", "", "é", "--offset-ms=-5")
-    text = unit_text((str(program), *arguments), tmp_path / "st ate %h $X")
+    text = units.unit_text((str(program), *arguments), tmp_path / "st ate %h $X")
     assert complaints(text, tmp_path) == ""
     assert "not executable" in complaints(text.replace("; a b", "; a c"), tmp_path)
 
 
 def test_the_command_is_quoted_and_a_newer_systemd_sends_the_signal_to_reload_itself():
-    text = unit_text(("/opt/a b/100%/$x/cushion", "run", '$HOME %h "q" b\\s'), Path("/s %h"))
+    text = units.unit_text(("/opt/a b/100%/$x/cushion", "run", '$HOME %h "q" b\\s'), Path("/s %h"))
     quoted = '"/opt/a b/100%%/$x/cushion" "run" "$$HOME %%h \\"q\\" b\\\\s"'
     assert (line_of(text, "ExecStart"), line_of(text, "ReadWritePaths")) == (quoted, '"-/s %%h"')
     assert line_of(text, "ExecReload") == "/bin/kill -HUP $MAINPID"
-    old, new = (unit_text(("/cushion", "run"), STATE, systemd) for systemd in (252, 253))
-    assert (old, line_of(old, "Type")) == (unit_text(("/cushion", "run"), STATE), "notify")
+    old, new = (units.unit_text(("/cushion", "run"), STATE, systemd) for systemd in (252, 253))
+    assert (old, line_of(old, "Type")) == (units.unit_text(("/cushion", "run"), STATE), "notify")
     assert "ReloadSignal" not in old
     assert (line_of(new, "Type"), line_of(new, "ReloadSignal")) == ("notify-reload", "SIGHUP")
     assert "ExecReload" not in new
@@ -92,16 +81,16 @@ def test_the_command_is_quoted_and_a_newer_systemd_sends_the_signal_to_reload_it
 
 def test_without_systemd_its_version_is_0(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert systemd_version() == 0
+    assert units.systemd_version() == 0
     program = tmp_path / "systemctl"
     for text, version in (("systemd 254 (254.1)", 254), ("something else", 0), ("", 0)):
         program.write_text(f"#!/bin/sh\necho '{text}'\n")
         program.chmod(0o755)
-        assert systemd_version() == version
+        assert units.systemd_version() == version
 
 
 def test_wrong_config_stays_wrong_and_audio_threads_have_room_and_bounds():
-    text = unit_text(("/cushion", "run"), STATE)
+    text = units.unit_text(("/cushion", "run"), STATE)
     assert line_of(text, "RestartPreventExitStatus") == "2 3"
     assert (line_of(text, "LimitRTPRIO"), line_of(text, "LimitRTTIME")) == ("20", "200ms:2s")
     assert int(line_of(text, "LimitRTPRIO")) >= PRIORITY
@@ -120,16 +109,16 @@ def test_wrong_config_stays_wrong_and_audio_threads_have_room_and_bounds():
 )
 def test_what_systemd_cannot_take_is_refused(command):
     with pytest.raises(UsageError, match="systemd"):
-        unit_text(command, STATE)
+        units.unit_text(command, STATE)
     for folder in ('/a"b', "/a\\b", "/a\nb"):
         with pytest.raises(UsageError, match="systemd cannot use"):
-            unit_text(("/cushion",), Path(folder))
+            units.unit_text(("/cushion",), Path(folder))
 
 
 def test_the_unit_is_written_whole_where_systemd_looks_if_new_and_removed_alone(environ, tmp_path):
     done = install(["--tap", "sink:a b"], ["/opt/cushion"], environ)
     assert done.path == tmp_path / ".config/systemd/user/cushion.service"
-    assert (done.changed, done.commands) == (True, START)
+    assert (done.changed, done.commands) == (True, units.START)
     text = done.path.read_text()
     assert text.startswith(MARK)
     assert line_of(text, "ExecStart") == '"/opt/cushion" "run" "--tap" "sink:a b"'
@@ -210,11 +199,11 @@ def test_the_command_installs_the_rule_as_it_is(tmp_path):
     """The command runs here with a `sudo` that only does the writing, elsewhere."""
     target = tmp_path / "70-cushion.rules"
     sudo = f'sudo() {{ if [ "$1" = tee ]; then cat > "{target}"; else echo "$*"; fi; }}\n'
-    command = ["sh", "-c", sudo + UDEV_COMMAND]
+    command = ["sh", "-c", sudo + units.UDEV_COMMAND]
     done = subprocess.run(command, capture_output=True, text=True, timeout=10)
     assert done.stderr == ""
     assert int(Path(UDEV_PATH).name[:2]) < 73  # the rule that gives access away
-    assert target.read_text() == UDEV_RULE
+    assert target.read_text() == units.UDEV_RULE
     assert done.stdout.splitlines() == [
         *("udevadm control --reload", "udevadm trigger --subsystem-match=usb --action=change")
     ]

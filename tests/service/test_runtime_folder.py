@@ -44,13 +44,9 @@ def folder(environ):
 @contextmanager
 def holding(environ: dict[str, str], program: str = HOLD) -> Iterator[Any]:
     """A program of its own that has said "held" and waits."""
-    with subprocess.Popen(
-        [sys.executable, "-c", program],
-        env=environment(**environ),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as process:
+    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    command = [sys.executable, "-c", program]
+    with subprocess.Popen(command, env=environment(**environ), **pipes) as process:
         try:
             assert process.stdout
             assert process.stdout.readline() == "held\n"
@@ -85,6 +81,8 @@ def test_without_the_variable_a_private_folder_for_temporary_files_serves(variab
     with RuntimeFolder({**variable, "TMPDIR": str(tmp_path)}, create=True) as folder:
         assert folder.path == tmp_path / f"cushion-{os.geteuid()}"
         assert stat.S_IMODE(folder.path.stat().st_mode) == 0o700
+    with pytest.raises(UsageError, match="TMPDIR is '/none', which is not a folder"):
+        RuntimeFolder({**variable, "TMPDIR": "/none"}, create=True)
     folder.path.chmod(0o755)
     with pytest.raises(UsageError, match="open to others"):
         RuntimeFolder({**variable, "TMPDIR": str(tmp_path)}, create=True)

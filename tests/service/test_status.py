@@ -16,27 +16,17 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from audioflinger_hook.cli.status import meter_line, status_view
+from audioflinger_hook.service import status as figures
 from audioflinger_hook.service.figure import entries, gathered, table
 from audioflinger_hook.service.json_codec import from_json, to_json
 from audioflinger_hook.service.meters import BufferTimes, Level
 from audioflinger_hook.service.shown import duration
 from audioflinger_hook.service.state import Cause, DaemonState
-from audioflinger_hook.service.status import (
-    ActuatorFigures,
-    DelayLineFigures,
-    Endpoint,
-    ExposureFigures,
-    GraphFigures,
-    LatencyBudget,
-    Levels,
-    Partial,
-    ProtectionFigures,
-    Status,
-    Xruns,
-)
+from audioflinger_hook.service.status import Endpoint, GraphFigures, LatencyBudget, Partial, Status
 from device.errors import UsageError
 from tests.support.recordings import ROOT
 
+TIMES_MS = {"tap_ms": 21.3, "transform_ms": 42.7, "delay_line_ms": 20.0, "output_ms": 10.7}
 STATUS = Status(
     version="0.1.0",
     pid=4321,
@@ -45,28 +35,21 @@ STATUS = Status(
     since_s=7503.25,
     tap=Endpoint("default", "alsa_output.pci-0000_00_1f.3.analog-stereo.monitor"),
     device=Endpoint("sink:Cushion", "alsa_output.usb-Amplifier-00.analog-stereo"),
-    levels=Levels(Level(-3.1, -14.2), Level(-18.2, -27.0)),
-    latency=LatencyBudget.of(
-        tap_ms=21.3,
-        transform_ms=42.7,
-        delay_line_ms=20.0,
-        output_ms=10.7,
-        offset_ms=-5.0,
-        driving_ms=4.0,
-    ),
+    levels=figures.Levels(Level(-3.1, -14.2), Level(-18.2, -27.0)),
+    latency=LatencyBudget.of(**TIMES_MS, offset_ms=-5.0, driving_ms=4.0),
     offset_ms=-5.0,
     offset_reason="set in the config",
-    delay_line=DelayLineFigures(20.0, 20.1, 13.4, 1, 2, 3, "locked"),
-    xruns=Xruns(4, 5),
+    delay_line=figures.DelayLineFigures(20.0, 20.1, 13.4, 1, 2, 3, "locked"),
+    xruns=figures.Xruns(4, 5),
     buffer_times=BufferTimes(1.2, 2.9, 8.1, 21.3, 5.8),
     recoveries=MappingProxyType(dict.fromkeys(Cause, 0) | {Cause.STALL: 2}),
     effects_bypassed=("loudness",),
     limited_samples=12,
     replaced_samples=1,
-    protection=ProtectionFigures(
+    protection=figures.ProtectionFigures(
         5000, 12, 1, 3, 0.5, 0.25, "temperature", 1.234, 61.5, 15.48, -1.23
     ),
-    exposure=ExposureFigures(10.0, 1.25, 0.6, 9.5, True, False, 0.31),
+    exposure=figures.ExposureFigures(10.0, 1.25, 0.6, 9.5, True, False, 0.31),
     profile="cinema",
     server="PipeWire 1.4.2",
     graph=GraphFigures(1024, 48_000, "monitor", "links are refused"),
@@ -207,10 +190,11 @@ def test_every_figure_says_what_it_means_and_dashboard_and_alerts_use_no_others(
 def test_a_figure_is_read_from_the_first_source_that_has_it_in_its_own_unit():
     line = SimpleNamespace(target_s=0.02, delay_s=0.0201, state=SimpleNamespace(value="locked"))
     counts = SimpleNamespace(ratio_ppm=1.5, resyncs=1, underflows=2, overflows=3, target_s=9.0)
-    found = gathered(DelayLineFigures, line, counts)
+    found = gathered(figures.DelayLineFigures, line, counts)
     assert found.delay_ms == pytest.approx(20.1)
-    assert replace(found, delay_ms=0.0) == DelayLineFigures(20.0, 0.0, 1.5, 1, 2, 3, "locked")
-    assert gathered(DelayLineFigures, line).overflows == 0
+    figures_of_line = figures.DelayLineFigures(20.0, 0.0, 1.5, 1, 2, 3, "locked")
+    assert replace(found, delay_ms=0.0) == figures_of_line
+    assert gathered(figures.DelayLineFigures, line).overflows == 0
     with pytest.raises(TypeError, match="address"):
         gathered(Endpoint, line)
 
@@ -293,9 +277,8 @@ def test_a_duration_is_shown_in_its_two_largest_units(time_s, text):
     assert duration(time_s) == text
 
 
-EARLY = LatencyBudget.of(
-    tap_ms=20.0, transform_ms=7.5, delay_line_ms=20.0, output_ms=31.0, offset_ms=-80.0
-)
+EARLY_MS = {"tap_ms": 20.0, "transform_ms": 7.5, "delay_line_ms": 20.0, "output_ms": 31.0}
+EARLY = LatencyBudget.of(**EARLY_MS, offset_ms=-80.0)
 PARTIALS = tuple(Partial(100.0 * n, 20.0 + n, 0.01 * n) for n in range(1, 8))
 
 
@@ -307,7 +290,7 @@ PARTIALS = tuple(Partial(100.0 * n, 20.0 + n, 0.01 * n) for n in range(1, 8))
         ({"principal": PARTIALS}, "24 Hz and 3 more"),
         ({"muted": True}, ", muted"),
         ({"offset_reason": "not known"}, "ms, not known: `cushion sync` measures the delay"),
-        ({"xruns": Xruns(None, None)}, "dropouts   the server does not report them"),
+        ({"xruns": figures.Xruns(None, None)}, "dropouts   the server does not report them"),
         ({"graph": GraphFigures(256, 44_100, "streams")}, "(default), from its streams"),
         ({"graph": GraphFigures(256, 44_100, "")}, "256 frames at 44100 Hz (5.8 ms) a cycle"),
     ],
@@ -318,20 +301,16 @@ def test_what_is_another_way_than_usual_is_said(changes, said):
 
 
 def test_several_actuators_are_shown_each_with_its_own_figures():
-    left = ActuatorFigures(
-        *("left", ("0", "front-left"), "paper", -3.0, "inverted", 5.0),
-        Level(-12.0, -20.0),
-        STATUS.protection,
-        STATUS.exposure,
-    )
-    mix = ActuatorFigures("mix", ("1",), "consumer", 0.0, "normal", 0.0, Level(), None, None)
+    made, care = figures.ActuatorFigures, (STATUS.protection, STATUS.exposure)
+    known = "left", ("0", "front-left"), "paper", -3.0, "inverted", 5.0
+    left = made(*known, Level(-12.0, -20.0), *care)
+    mix = made("mix", ("1",), "consumer", 0.0, "normal", 0.0, Level(), None, None)
     parts = ("tap", "transform", "delay_line", "output", "driving", "delay")
     latency = LatencyBudget.of(**{f"{part}_ms": float(n) for n, part in enumerate(parts, 1)})
     lines = status_text(replace(STATUS, actuators=(left, mix), latency=latency), 300).splitlines()
     (first,) = (number for number, line in enumerate(lines) if line.startswith("actuator 1"))
-    assert lines[first].split(maxsplit=2)[2] == (
-        "left on 0, front-left, paper, -3.0 dB, inverted, 5.0 ms later"
-    )
+    words = "left on 0, front-left, paper, -3.0 dB, inverted, 5.0 ms later"
+    assert lines[first].split(maxsplit=2)[2] == words
     assert "peak  -12.0, rms  -20.0 dBFS" in lines[first + 1]
     assert "blocks 5000, limited 12" in lines[first + 2]
     assert "A(8) 0.6" in lines[first + 3]

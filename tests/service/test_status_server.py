@@ -19,18 +19,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from audioflinger_hook.service import status_server
 from audioflinger_hook.service import status_server as server_module
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Endpoint, Status
 from audioflinger_hook.service.status_client import ask_status
-from audioflinger_hook.service.status_server import (
-    CLIENTS_MAX,
-    NAME,
-    PAUSE_S,
-    REQUEST_BYTES_MAX,
-    StatusServer,
-)
+from audioflinger_hook.service.status_server import CLIENTS_MAX, NAME, PAUSE_S, REQUEST_BYTES_MAX
 from device.errors import InternalError, NotFoundError, UsageError
 from tests.monitor.stand_in import odd_daemon
 from tests.servers.listening import wait_for
@@ -57,7 +52,7 @@ class Daemon:
         self.environ = {"XDG_RUNTIME_DIR": base}
         self.folder = RuntimeFolder(self.environ, create=True)
         self.status: Status | Exception = STATUS
-        self.server = StatusServer(self.folder, self.read, time.monotonic)
+        self.server = status_server.StatusServer(self.folder, self.read, time.monotonic)
         self.server.__enter__()
 
     def read(self) -> Status:
@@ -270,13 +265,9 @@ def test_another_user_who_reaches_the_socket_gets_no_answer():
             "import socket, sys; s = socket.socket(socket.AF_UNIX); s.settimeout(10);"
             "s.connect(sys.argv[1]); s.sendall(sys.argv[2].encode()); print(s.recv(9))"
         )
-        done = subprocess.run(
-            ["/usr/bin/env", "python3", "-c", script, str(daemon.folder.path / NAME), ASK.decode()],
-            user=65534,
-            capture_output=True,
-            text=True,
-            timeout=DEADLINE_S,
-        )
+        words = [script, str(daemon.folder.path / NAME), ASK.decode()]
+        told: Any = {"user": 65534, "capture_output": True, "text": True, "timeout": DEADLINE_S}
+        done = subprocess.run(["/usr/bin/env", "python3", "-c", *words], **told)
         daemon.close()
     # EOF, or the end before it could send
     assert "version" not in done.stdout
@@ -296,7 +287,7 @@ def test_stopping_closes_everything_and_removes_the_socket(tmp_path):
     assert threading.active_count() == threads
     daemon = Daemon(str(tmp_path))  # one that has lost its place leaves the new one alone
     (daemon.folder.path / NAME).unlink()
-    with StatusServer(daemon.folder, lambda: STATUS, time.monotonic):
+    with status_server.StatusServer(daemon.folder, lambda: STATUS, time.monotonic):
         daemon.server.stop()
         assert daemon.ask() == STATUS
     daemon.close()
@@ -307,13 +298,13 @@ def test_the_socket_of_a_killed_daemon_is_replaced_and_that_of_a_living_one_is_n
     with RuntimeFolder(environ, create=True) as folder, holding(environ, SERVE) as other:
         for _ in range(3 * CLIENTS_MAX):  # even when its queue is full: it never accepts
             with pytest.raises(UsageError, match="another cushion daemon answers"):
-                StatusServer(folder, lambda: STATUS, time.monotonic)
+                status_server.StatusServer(folder, lambda: STATUS, time.monotonic)
         other.kill()
         other.wait(DEADLINE_S)
         assert (folder.path / NAME).is_socket()
         with pytest.raises(NotFoundError, match="no daemon is running"):
             ask_status(1.0, time.monotonic, environ)
-        with StatusServer(folder, lambda: STATUS, time.monotonic):
+        with status_server.StatusServer(folder, lambda: STATUS, time.monotonic):
             assert ask_status(DEADLINE_S, time.monotonic, environ) == STATUS
 
 
@@ -323,7 +314,7 @@ def test_what_is_no_socket_of_ours_is_neither_removed_nor_used(tmp_path):
 
         def refused(words: str) -> None:
             with pytest.raises(UsageError, match=words):
-                StatusServer(folder, lambda: STATUS, time.monotonic)
+                status_server.StatusServer(folder, lambda: STATUS, time.monotonic)
 
         place.write_text("precious")
         refused("is not a socket; remove it")

@@ -63,17 +63,13 @@ def test_a_delay_is_found_to_8_ms_in_a_minute_by_9_of_10_people(people):
     )  # a daemon can play these
 
 
-def test_the_credible_interval_holds_as_often_as_it_says_and_a_test_ends_once_it_is_narrow(
-    people,
-):
+def test_the_credible_interval_holds_as_often_as_it_says_and_a_test_ends_once_it_is_narrow(people):
     # 95 of 100, less two standard deviations of such a count
     held = [done.found.low_ms <= delay_ms <= done.found.high_ms for delay_ms, done in people]
     assert sum(held) >= 90
     for _, done in people:
-        assert (
-            done.found.width_ms <= sync_trials.NARROW_MS
-            or done.seconds > sync_trials.LONGEST_S - TRIAL_S
-        )
+        is_narrow = done.found.width_ms <= sync_trials.NARROW_MS
+        assert is_narrow or done.seconds > sync_trials.LONGEST_S - TRIAL_S
     assert min(done.seconds for _, done in people) < 0.75 * sync_trials.LONGEST_S
 
 

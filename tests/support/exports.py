@@ -122,15 +122,23 @@ def check_vibration_xml(content: bytes) -> None:
 
 
 def check_hjif(content: bytes) -> None:
-    """Check the schema, the bands of the level, and that no effects of a band overlap."""
+    """Check what MPEG's reference software checks, and that no effects of a band overlap."""
     document = _by_schema("hjif", content)
+    avatars = [avatar["id"] for avatar in document["avatars"]]
+    assert len(avatars) == len(set(avatars))
     for perception in document["perceptions"]:
+        assert perception["avatar_id"] in {0, *avatars}
+        devices = [device["id"] for device in perception["reference_devices"]]
+        channels = [channel["id"] for channel in perception["channels"]]
+        assert (len(devices), len(channels)) == (len(set(devices)), len(set(channels)))
         for device in perception["reference_devices"]:
             low, high = device["minimum_frequency"], device["maximum_frequency"]
             assert low <= device["resonance_frequency"] <= high
         for channel in perception["channels"]:
+            assert channel["reference_device_id"] in devices
             assert len(channel["bands"]) <= (7 if document["level"] == 1 else 63)
             for band in channel["bands"]:
+                assert band["lower_frequency_limit"] <= band["upper_frequency_limit"]
                 ends = 0
                 for effect in band["effects"]:
                     assert effect["position"] >= ends

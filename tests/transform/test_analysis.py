@@ -126,9 +126,8 @@ def test_it_finds_what_the_oracle_finds(kind, samplerate):
 def test_it_finds_what_the_oracle_finds_for_other_parameters_and_rules(changes):
     parameters = TransformParameters(**changes)
     spectrum = Spectrum.of(parameters, 44_100)
-    sound = signals.joined(
-        *(SOUNDS[kind](44_100) for kind in ("white noise", "chord", "low noise"))
-    )
+    kinds = ("white noise", "chord", "low noise")
+    sound = signals.joined(*(SOUNDS[kind](44_100) for kind in kinds))
     spectra = spectrum.transform(sliding_window_view(sound, spectrum.window_frames)[::1_500])
     assert len(assert_agree(designed(spectrum, parameters), spectra)) > len(spectra)
     for weakest_image, side_lobe in product((0.0, 0.05, np.inf), (0.0, 0.3)):
@@ -217,12 +216,8 @@ def test_strange_numbers_end_in_numbers_and_stay_in_their_row(strange, where, bo
     design = designed(spectrum, **changes)
     spectra = spectra_of(signals.white_noise(0.5, 8_000), 8_000)[:3].copy()
     expected, parts = strongest(design, spectra), spectra[1].view(np.float64)
-    places = {
-        "everywhere": slice(None),
-        "one bin": slice(100, 102),
-        "every third bin": slice(6, None, 6),
-        "imaginary": slice(1, None, 2),
-    }
+    places = {"everywhere": slice(None), "one bin": slice(100, 102)}
+    places |= {"every third bin": slice(6, None, 6), "imaginary": slice(1, None, 2)}
     parts[places[where]] = strange
     found = strongest(design, spectra)
     for row in (0, 2):

@@ -1,5 +1,3 @@
-"""The mono mix: surround at the level of stereo, and opposite channels as strong as equal ones."""
-
 import functools
 
 import numpy as np
@@ -9,19 +7,8 @@ from scipy.signal import butter, sosfilt
 from audioflinger_hook.transform.downmix import MonoMix
 from device.layouts import CHANNELS_MAX, KNOWN, downmix, layout
 from tests.oracle import vibration_of
-from tests.support.signals import (
-    FORMS,
-    burst,
-    columns,
-    identical,
-    joined,
-    level_db,
-    made,
-    played,
-    silence,
-    tone,
-    white_noise,
-)
+from tests.support import signals
+from tests.support.signals import FORMS, columns, identical, joined, level_db, played, silence, tone
 
 RATE = 48_000
 MINUS_3_DB = 0.5**0.5
@@ -33,7 +20,7 @@ every_form = pytest.mark.parametrize("form", FORMS)
 def speech_like(samplerate=RATE):
     """Return a sound of 0.6 s with beginnings, a voice's harmonics and a pause."""
     voiced = np.sum([tone(130.0 * k, 0.25, samplerate, 0.3 / k) for k in range(1, 12)], axis=0)
-    hiss = white_noise(0.1, samplerate, 0.2)
+    hiss = signals.white_noise(0.1, samplerate, 0.2)
     return joined(voiced, silence(0.05, samplerate), hiss, tone(220.0, 0.2, samplerate, 0.4))
 
 
@@ -53,7 +40,7 @@ def mixed(sound, samplerate=RATE):
 @every_form
 @pytest.mark.parametrize("channels", [count for count in KNOWN if count > 2])
 def test_the_same_stereo_is_as_strong_in_every_layout(form, channels):
-    left, right = speech_like(), 0.5 * speech_like() + white_noise(0.6, RATE, 0.1)
+    left, right = speech_like(), 0.5 * speech_like() + signals.white_noise(0.6, RATE, 0.1)
     stereo = played(columns(left, right), RATE, form=form)
     surround = played(placed(channels, FL=left, FR=right), RATE, form=form)
     np.testing.assert_allclose(surround, stereo, rtol=0, atol=1e-12)
@@ -109,24 +96,22 @@ def test_the_core_mixes_any_number_of_channels_as_its_oracle_does(channels):
 def test_opposite_channels_are_as_strong_as_equal_ones_after_a_tenth_second(form, samplerate, pair):
     sound = joined(tone(300, 0.5, samplerate, 0.3), silence(0.1, samplerate))
     one, other = pair.split()
-    equal, opposite = (
-        played(placed(6, **{one: sound, other: sign * sound}), samplerate, form=form)
-        for sign in (1, -1)
-    )
+    pairs = (placed(6, **{one: sound, other: sign * sound}) for sign in (1, -1))
+    equal, opposite = (played(each, samplerate, form=form) for each in pairs)
     later = slice(round(0.1 * samplerate), round(0.5 * samplerate))
     assert level_db(opposite[later]) == pytest.approx(level_db(equal[later]), abs=1.0)
 
 
 def test_opposite_channels_keep_their_attack():
     # From silence, and where sound that is alike in both channels was 20 dB weaker before.
-    hit = burst(200, 0.2, 0.35, RATE, 0.5) + white_noise(0.35, RATE, 0.1) * (
-        burst(0.0001, 0.2, 0.35, RATE, 1.0) != 0.0
+    hit = signals.burst(200, 0.2, 0.35, RATE, 0.5) + signals.white_noise(0.35, RATE, 0.1) * (
+        signals.burst(0.0001, 0.2, 0.35, RATE, 1.0) != 0.0
     )
-    bed = white_noise(0.35, RATE, 0.02, seed=7)
+    bed = signals.white_noise(0.35, RATE, 0.02, seed=7)
     for before in (0.0 * bed, bed):
         equal = played(columns(before + hit, before + hit), RATE)[:, 0]
         opposite = played(columns(before + hit, before - hit), RATE)[:, 0]
-        latency = made(columns(hit, hit), RATE).latency_frames
+        latency = signals.made(columns(hit, hit), RATE).latency_frames
         attack = slice(round(0.2 * RATE) + latency, round(0.23 * RATE) + latency)
         peaks = [np.abs(one[attack]).max() for one in (equal, opposite)]
         assert peaks[1] > 0.8 * peaks[0]

@@ -10,33 +10,14 @@ from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.design.synthesis import LiveGrid
 from audioflinger_hook.transform.input_stage import BandPass, design_band_pass
 from audioflinger_hook.transform.reference import ReferenceTransform
-from tests.support.principal import principal_in
-from tests.support.signals import (
-    FORMS,
-    SAMPLERATES,
-    best_sinusoid,
-    chirp,
-    columns,
-    envelope,
-    felt_hz,
-    identical,
-    joined,
-    level_db,
-    made,
-    one_sample,
-    opened,
-    played,
-    silence,
-    square,
-    thinned,
-    tone,
-    white_noise,
-)
+from tests.oracle.analysis import principal_in
+from tests.support import signals
+from tests.support.signals import best_sinusoid, columns, felt_hz, level_db, played, thinned, tone
 
 PARAMETERS = TransformParameters()
-EXTREME_SAMPLERATES = (1_000, *SAMPLERATES, 768_000)
+EXTREME_SAMPLERATES = (1_000, *signals.SAMPLERATES, 768_000)
 
-every_form = pytest.mark.parametrize("form", FORMS)
+every_form = pytest.mark.parametrize("form", signals.FORMS)
 
 
 def analysed(sound, samplerate, form):
@@ -50,13 +31,13 @@ def analysed(sound, samplerate, form):
 @every_form
 @pytest.mark.parametrize("samplerate", EXTREME_SAMPLERATES)
 def test_digital_silence_is_exact_zeros(form, samplerate):
-    assert not played(silence(0.5, samplerate), samplerate, form=form).any()
+    assert not played(signals.silence(0.5, samplerate), samplerate, form=form).any()
 
 
 @every_form
-@pytest.mark.parametrize("samplerate", SAMPLERATES)
+@pytest.mark.parametrize("samplerate", signals.SAMPLERATES)
 def test_one_full_scale_sample_is_a_short_bounded_thump(form, samplerate):
-    vibration = played(one_sample(1.5, samplerate, 0.2), samplerate, form=form)[:, 0]
+    vibration = played(signals.one_sample(1.5, samplerate, 0.2), samplerate, form=form)[:, 0]
     assert 0.01 < np.abs(vibration).max() < 1.0
     where = vibration.nonzero()[0] / samplerate
     assert where[0] >= 0.2
@@ -67,14 +48,14 @@ def test_one_full_scale_sample_is_a_short_bounded_thump(form, samplerate):
 @every_form
 def test_a_lone_sample_quieter_than_the_threshold_is_not_felt(form):
     # One sample of height a has A = 2 a / (0.54 N) over 12 kHz: r > 0.3 needs a > 0.0075.
-    assert not played(one_sample(0.5, 48_000, 0.2, 0.005), 48_000, form=form).any()
+    assert not played(signals.one_sample(0.5, 48_000, 0.2, 0.005), 48_000, form=form).any()
 
 
 @every_form
 @pytest.mark.parametrize("level", [1.0, -1.0, 0.2])
 def test_of_dc_only_the_step_at_its_start_is_felt(form, level):
-    sound = joined(silence(0.215, 48_000), np.full(2 * 48_000, level))
-    vibration = made(sound, 48_000, form=form).process(sound)
+    sound = signals.joined(signals.silence(0.215, 48_000), np.full(2 * 48_000, level))
+    vibration = signals.made(sound, 48_000, form=form).process(sound)
     assert np.abs(vibration).max() < 1.0
     assert vibration[: round(0.8 * 48_000)].any()
     assert not vibration[round(0.8 * 48_000) :].any()
@@ -90,9 +71,9 @@ def test_dc_under_a_sound_changes_nothing_that_can_be_felt(form):
 
 
 @every_form
-@pytest.mark.parametrize("samplerate", SAMPLERATES)
+@pytest.mark.parametrize("samplerate", signals.SAMPLERATES)
 def test_a_full_scale_square_wave_is_felt_at_its_odd_harmonics(form, samplerate):
-    sound = square(200, 1.0, samplerate)
+    sound = signals.square(200, 1.0, samplerate)
     vibration = played(sound, samplerate, form=form)
     assert np.isfinite(vibration).all()
     if form != "reference":
@@ -107,13 +88,13 @@ def test_a_full_scale_square_wave_is_felt_at_its_odd_harmonics(form, samplerate)
 @every_form
 def test_denormal_numbers_come_out_as_exact_zeros(form):
     for level, dtype in ((1e-40, np.float32), (1e-310, np.float64), (5e-324, np.float64)):
-        for sound in (np.full(20_000, 1.0), white_noise(0.5, 48_000)):
+        for sound in (np.full(20_000, 1.0), signals.white_noise(0.5, 48_000)):
             assert not played((level * sound).astype(dtype), 48_000, form=form).any()
 
 
 def cost_s(sound, form):
     """Return the thread's time for a sound in blocks of 10 ms, after a loud second."""
-    transform = made(sound, 48_000, form=form)
+    transform = signals.made(sound, 48_000, form=form)
     transform.process(tone(300, 1.0, 48_000).astype(sound.dtype))
     # Undisturbed, the 50 Hz poles decay to denormal numbers in 3.3 s.
     transform.process(np.resize(sound, 5 * 48_000))
@@ -127,13 +108,13 @@ def cost_s(sound, form):
 @pytest.mark.sweep
 @every_form
 def test_denormal_numbers_cost_no_more_than_quiet_noise(form):
-    quiet = white_noise(0.5, 48_000, 1e-6)
+    quiet = signals.white_noise(0.5, 48_000, 1e-6)
     kinds = {
         "quiet": quiet,
         "silence": np.zeros_like(quiet),
         "float32": np.full(quiet.size, 1e-40, np.float32),
         "float64": np.full(quiet.size, 1e-310),
-        "float64 noise": white_noise(0.5, 48_000, 1e-310),
+        "float64 noise": signals.white_noise(0.5, 48_000, 1e-310),
     }
     # The best of five interleaved runs: whatever else the machine does, it adds time.
     runs = [{name: cost_s(sound, form) for name, sound in kinds.items()} for _ in range(5)]
@@ -148,21 +129,16 @@ def test_denormal_numbers_cost_no_more_than_quiet_noise(form):
 def test_no_filter_state_decays_into_denormal_numbers_however_long_the_silence(samplerate, level):
     # Not every processor is slow with them, so that the time alone proves little.
     band_pass = BandPass(*design_band_pass(PARAMETERS, samplerate))
-    band_pass.process(joined(tone(300, 0.5, samplerate), white_noise(0.1, samplerate)))
+    noise = signals.white_noise(0.1, samplerate)
+    band_pass.process(signals.joined(tone(300, 0.5, samplerate), noise))
     for _ in range(6):
         for numbers in (band_pass.process(np.full(samplerate, level)), band_pass._state):
             size = np.abs(numbers)
             assert not ((size > 0) & (size < np.finfo(np.float64).tiny)).any()
 
 
-UNUSABLE = {
-    "NaN": np.nan,
-    "Inf": np.inf,
-    "-Inf": -np.inf,
-    "1e30": 1e30,
-    "-1e30": -1e30,
-    "just over the limit": np.nextafter(np.float32(1e3), np.float32(2e3)),
-}
+UNUSABLE = {"NaN": np.nan, "Inf": np.inf, "-Inf": -np.inf, "1e30": 1e30, "-1e30": -1e30}
+UNUSABLE["just over the limit"] = np.nextafter(np.float32(1e3), np.float32(2e3))
 
 
 @every_form
@@ -170,21 +146,22 @@ UNUSABLE = {
 @pytest.mark.parametrize("name", UNUSABLE)
 def test_unusable_samples_count_as_zeros_one_by_one_and_spare_their_neighbours(form, dtype, name):
     rng = np.random.default_rng(7)
-    sound = columns(white_noise(0.6, 48_000, 0.5), tone(300, 0.6, 48_000, 0.5)).astype(dtype)
+    noise = signals.white_noise(0.6, 48_000, 0.5)
+    sound = columns(noise, tone(300, 0.6, 48_000, 0.5)).astype(dtype)
     for count in (200, sound.size):
         damaged, cleaned = sound.copy(), sound.copy()
         places = rng.choice(sound.size, count, replace=False)
         damaged.flat[places], cleaned.flat[places] = UNUSABLE[name], 0.0
-        transform = made(damaged, 48_000, form=form)
+        transform = signals.made(damaged, 48_000, form=form)
         vibration = np.concatenate((transform.process(damaged), transform.finish()))
         assert transform.replaced_samples == count
-        assert identical(vibration, played(cleaned, 48_000, form=form))
+        assert signals.identical(vibration, played(cleaned, 48_000, form=form))
 
 
 @every_form
 def test_a_sample_at_the_limit_of_magnitude_is_kept(form):
-    sound = one_sample(0.3, 48_000, 0.1, 1e3)
-    transform = made(sound, 48_000, form=form)
+    sound = signals.one_sample(0.3, 48_000, 0.1, 1e3)
+    transform = signals.made(sound, 48_000, form=form)
     vibration = np.concatenate((transform.process(sound), transform.finish()))
     assert transform.replaced_samples == 0
     assert vibration.any()
@@ -192,10 +169,10 @@ def test_a_sample_at_the_limit_of_magnitude_is_kept(form):
 
 @pytest.mark.parametrize("samplerate", [44_100, 48_000])
 def test_white_noise_at_full_scale_is_felt_27_db_down(samplerate):
-    sound = white_noise(3.0, samplerate)
+    sound = signals.white_noise(3.0, samplerate)
     levels = {
         form: level_db(played(sound, samplerate, form=form)[samplerate // 2 : -samplerate // 2])
-        for form in FORMS
+        for form in signals.FORMS
     }
     # The paper's r^2 / sum r rewards tonality: noise, spread over many peaks, comes out weak.
     assert levels["reference"] == pytest.approx(-27.4, abs=1.0)
@@ -224,14 +201,10 @@ def bin_hz(samplerate):
 
 
 def awkward_tones(samplerate):
-    return {
-        "the band's lower edge": 50.0,
-        "60 Hz, on its own image": 60.0,
-        "the band's upper edge": 12_000.0,
-        "exactly on a bin": 94 * bin_hz(samplerate),
-        "exactly between two bins": 94.5 * bin_hz(samplerate),
-        "between bins, low": 20.5 * bin_hz(samplerate),
-    }
+    edges = {"the band's lower edge": 50.0, "the band's upper edge": 12_000.0}
+    bins = {"exactly on a bin": 94.0, "exactly between two bins": 94.5, "between bins, low": 20.5}
+    in_bins = {name: place * bin_hz(samplerate) for name, place in bins.items()}
+    return {**edges, "60 Hz, on its own image": 60.0, **in_bins}
 
 
 @pytest.mark.parametrize("samplerate", [44_100, 48_000])
@@ -283,13 +256,13 @@ def test_frequencies_in_noise_are_found_nearly_as_well_as_can_be(snr_db):
 @pytest.mark.parametrize("samplerate", [44_100, 48_000])
 @pytest.mark.parametrize("seconds", [2.0, 3.0, 8.0])
 def test_a_chirp_through_the_band_rises_without_a_dropout(samplerate, seconds):
-    sound = chirp(80, 11_000, seconds, samplerate, 0.5)
-    transform = made(sound, samplerate)
+    sound = signals.chirp(80, 11_000, seconds, samplerate, 0.5)
+    transform = signals.made(sound, samplerate)
     late = transform.tonal_latency_frames
     vibration = transform.process(np.concatenate((sound, np.zeros(late))))
     vibration, rate = thinned(vibration[late:, 0], samplerate)
     edge = round(0.15 * rate)
-    strength = envelope(vibration, rate)[edge:-edge]
+    strength = signals.envelope(vibration, rate)[edge:-edge]
     # A steady tone of 0.5 has a level of 0.46 to 0.5; a fast chirp's wider peak is stronger.
     assert strength.min() > 0.4
     # Frequency from upward zero crossings, each against the one a quarter of a second before.
@@ -328,11 +301,9 @@ def test_every_samplerate_takes_noise_and_sweeps_to_its_very_top(form):
     # Windows and spectra of every parity and size: low rates are where they are small.
     between = (*range(1_000, 2_600, 7), 1_583, 1_600, 3_333, 7_919, 31_337, 88_200)
     for samplerate in (*EXTREME_SAMPLERATES, *between):
-        sound = joined(
-            white_noise(0.3, samplerate),
-            chirp(40, 0.499 * samplerate, 0.4, samplerate, 1.0),
-            one_sample(0.1, samplerate, 0.05),
-        )
+        sweep = signals.chirp(40, 0.499 * samplerate, 0.4, samplerate, 1.0)
+        sound = signals.joined(signals.white_noise(0.3, samplerate), sweep)
+        sound = signals.joined(sound, signals.one_sample(0.1, samplerate, 0.05))
         vibration = played(sound, samplerate, form=form)
         assert np.isfinite(vibration).all(), samplerate
         assert form == "reference" or np.abs(vibration).max() < 1.0, samplerate
@@ -346,7 +317,7 @@ def test_per_channel_gives_every_channel_its_own_vibration(form, channels):
     vibration = played(columns(*sounds), 16_000, form=form, per_channel=True)
     assert vibration.shape[1] == channels
     for index in {0, channels // 2, channels - 1}:
-        assert identical(vibration[:, [index]], played(sounds[index], 16_000, form=form))
+        assert signals.identical(vibration[:, [index]], played(sounds[index], 16_000, form=form))
 
 
 @every_form
@@ -354,8 +325,8 @@ def test_per_channel_gives_every_channel_its_own_vibration(form, channels):
 @pytest.mark.parametrize("channels", [1, 2])
 @pytest.mark.parametrize("frames", [0, 1, 2, 100, 735, 736, 737, 2_228, 2_229, 2_230])
 def test_short_and_empty_streams_have_their_length(form, per_channel, channels, frames):
-    sound = columns(*[white_noise(0.1, 48_000)[:frames]] * channels)
-    transform = opened(48_000, channels, form, per_channel=per_channel)
+    sound = columns(*[signals.white_noise(0.1, 48_000)[:frames]] * channels)
+    transform = signals.opened(48_000, channels, form, per_channel=per_channel)
     outputs = channels if per_channel else 1
     assert transform.process(sound).shape == (frames, outputs)
     after = transform.finish()
@@ -368,7 +339,7 @@ def test_short_and_empty_streams_have_their_length(form, per_channel, channels, 
 @every_form
 def test_a_steady_stream_leaves_its_state_steady_however_long_it_lasts(form):
     samplerate = 48_000
-    transform = opened(samplerate, 1, form)
+    transform = signals.opened(samplerate, 1, form)
     # Exactly 20 periods in 8 hops of the live form, or in one unit of the reference.
     hops = 8 * LiveGrid.at(PARAMETERS, samplerate).hop_frames
     period = hops if form != "reference" else PARAMETERS.window_frames(samplerate)
@@ -391,9 +362,9 @@ def test_a_steady_stream_leaves_its_state_steady_however_long_it_lasts(form):
 @pytest.mark.sweep
 @every_form
 def test_an_hour_of_silence_leaves_no_trace(form):
-    left = joined(tone(300, 0.5, 8_000, 0.5), white_noise(0.3, 8_000))
+    left = signals.joined(tone(300, 0.5, 8_000, 0.5), signals.white_noise(0.3, 8_000))
     sound = columns(left, -left)  # the powers of opposite channels are remembered, too
-    fresh, transform = played(sound, 8_000, form=form), made(sound, 8_000, form=form)
+    fresh, transform = played(sound, 8_000, form=form), signals.made(sound, 8_000, form=form)
     transform.process(sound)
     # A whole number of hops and of units, so that both grids fall alike on the sound.
     grid = PARAMETERS.window_frames(8_000) * LiveGrid.at(PARAMETERS, 8_000).hop_frames

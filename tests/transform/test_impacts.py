@@ -1,5 +1,3 @@
-"""Impacts: vibration is at full strength at once and adds to what sounds. Hard cases besides."""
-
 from dataclasses import replace
 
 import numpy as np
@@ -115,9 +113,8 @@ def test_treble_at_full_scale_loses_less_to_the_limiter_than_it_would_unmoved():
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("hz", [25.0, 30.0, 35.0, 40.0])
 def test_a_deep_tone_at_12_db_under_full_scale_is_felt_at_18(profile, hz):
-    vibration = signals.played(
-        signals.tone(hz, 6.0, RATE, 0.25), RATE, parameters=parameters_of(profile)
-    )[:, 0]
+    sound = signals.tone(hz, 6.0, RATE, 0.25)
+    vibration = signals.played(sound, RATE, parameters=parameters_of(profile))[:, 0]
     assert signals.level_db(vibration[-2 * RATE :]) == pytest.approx(-18.0, abs=4.0)
 
 
@@ -125,10 +122,8 @@ def test_a_deep_tone_at_12_db_under_full_scale_is_felt_at_18(profile, hz):
 def test_hiss_that_nobody_hears_is_not_felt_however_long_it_lasts(profile):
     hiss = signals.white_noise(100.0, RATE)
     hiss *= 10 ** (-82 / 20) / hiss.std()
-    assert (
-        signals.level_db(signals.played(hiss, RATE, parameters=parameters_of(profile))[:, 0])
-        < -80.0
-    )
+    vibration = signals.played(hiss, RATE, parameters=parameters_of(profile))[:, 0]
+    assert signals.level_db(vibration) < -80.0
 
 
 @pytest.mark.parametrize("profile", PROFILES)

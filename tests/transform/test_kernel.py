@@ -16,25 +16,10 @@ from audioflinger_hook.sources import mixdown
 from audioflinger_hook.transform import TransformParameters
 from device.errors import UsageError
 from tests.oracle import vibration_of
+from tests.support import signals
 from tests.support.parameters import LIMITS
 from tests.support.recordings import require_recordings
-from tests.support.signals import (
-    FORMS,
-    SAMPLERATES,
-    burst,
-    chirp,
-    columns,
-    identical,
-    joined,
-    low_noise,
-    made,
-    one_sample,
-    silence,
-    square,
-    times,
-    tone,
-    white_noise,
-)
+from tests.support.signals import burst, joined, low_noise, made, silence, square, tone, white_noise
 
 AGREEMENT = 1e-6
 """Of full scale: what the two owe each other. On what follows they are within 1e-8."""
@@ -72,16 +57,15 @@ def test_it_agrees_on_recordings_at_any_level(level):
 
 
 def swelling(samplerate):
-    time = times(1.0, samplerate)
+    time = signals.times(1.0, samplerate)
     slow, fast = 1 + np.sin(2 * np.pi * 5 * time), 1 + np.sin(2 * np.pi * 31 * time)
     low, high = (tone(hz, 1.0, samplerate, 0.3) for hz in (440, 0.21 * samplerate))
     return low * slow + high * fast
 
 
 def gaps(rate):
-    return joined(
-        *(joined(white_noise(0.1, rate, 0.5, n), silence(0.35 + 0.05 * n, rate)) for n in range(4))
-    )
+    rests = [silence(0.35 + 0.05 * n, rate) for n in range(4)]
+    return joined(*(joined(white_noise(0.1, rate, 0.5, n), rest) for n, rest in enumerate(rests)))
 
 
 def damaged(samplerate):
@@ -111,19 +95,19 @@ SOUNDS = {
     "DC": lambda rate: joined(silence(0.2, rate), np.full(rate // 2, 1.0)),
     "bursts": lambda rate: joined(*(burst(hz, 0.02, 0.3, rate, 0.8) for hz in (80, 700, 2_300))),
     "denormal numbers": lambda rate: joined(tone(300, 0.3, rate), np.full(rate, 1e-310)),
-    "sweep": lambda rate: chirp(60, 0.49 * rate, 1.5, rate),
+    "sweep": lambda rate: signals.chirp(60, 0.49 * rate, 1.5, rate),
     "swelling": swelling,
     "gaps": gaps,
     "damaged": damaged,
     # The spectrum of one sample is flat: there rounding would decide, if it were let.
     "clicks": lambda rate: joined(
-        1.0 * (np.arange(rate) % (rate // 40) == 0), one_sample(0.5, rate, 0.2)
+        1.0 * (np.arange(rate) % (rate // 40) == 0), signals.one_sample(0.5, rate, 0.2)
     ),
     "equal tones": equal_tones,
 }
 
 
-@pytest.mark.parametrize("samplerate", [*SAMPLERATES, 37_123])
+@pytest.mark.parametrize("samplerate", [*signals.SAMPLERATES, 37_123])
 @pytest.mark.parametrize("kind", SOUNDS)
 def test_it_agrees_on_synthetic_sounds(kind, samplerate):
     assert_agree(SOUNDS[kind](samplerate), samplerate)
@@ -143,7 +127,7 @@ def test_it_agrees_at_the_ends_of_the_samplerates(samplerate):
 def test_it_agrees_on_any_channels(channels, per_channel, dtype):
     kinds = list(SOUNDS)
     sounds = [SOUNDS[kinds[index % len(kinds)]](8_000)[:4_000] for index in range(channels)]
-    assert_agree(columns(*sounds).astype(dtype), 8_000, per_channel=per_channel)
+    assert_agree(signals.columns(*sounds).astype(dtype), 8_000, per_channel=per_channel)
 
 
 @pytest.mark.exhaustive
@@ -181,23 +165,15 @@ def test_it_agrees_with_every_law_and_mapping(variant, samplerate):
         assert_agree(make(samplerate), samplerate, parameters=parameters)
     # Voices that share a programme.
     kinds = {"gaps": 1, "sweep": 0.05, "noise": 0.3, "bursts": 0.01}
-    both = columns(*(level * SOUNDS[kind](samplerate) for kind, level in kinds.items()))
+    both = signals.columns(*(level * SOUNDS[kind](samplerate) for kind, level in kinds.items()))
     assert_agree(both[:7_000], samplerate, per_channel=True, parameters=parameters)
 
 
+PIECES = ["tone", "clicks", "tones", "pairs", "noise", "step", "steps", "silence"]
+SHARES, LEVELS = map(st.sampled_from, ([0.5, 1, 2, 4], [0.003, 0.05, 0.3, 1.0, 30.0]))
+PIECE = st.tuples(st.sampled_from(PIECES), st.integers(1, 60), SHARES, LEVELS)
 equals = given(
-    pieces=st.lists(
-        st.tuples(
-            st.sampled_from(
-                ["tone", "clicks", "tones", "pairs", "noise", "step", "steps", "silence"]
-            ),
-            st.integers(1, 60),
-            st.sampled_from([0.5, 1, 2, 4]),
-            st.sampled_from([0.003, 0.05, 0.3, 1.0, 30.0]),
-        ),
-        min_size=1,
-        max_size=5,
-    ),
+    pieces=st.lists(PIECE, min_size=1, max_size=5),
     samplerate=st.sampled_from([1_000, 1_024, 2_000, 8_000, 11_025, 16_000]),
     window_s=st.sampled_from([0.01, 0.02, 0.04643, 0.1, 0.2]),
     partials_max=st.sampled_from([1, 2, 16]),
@@ -207,12 +183,8 @@ equals = given(
 
 
 def agrees_between_equals(pieces, samplerate, window_s, partials_max, threshold_hz, variant):
-    parameters = TransformParameters(
-        window_s=window_s,
-        threshold_hz=threshold_hz,
-        vibration_top_hz=220.0,
-        **({"partials_max": partials_max} | VARIANTS[variant]),
-    )
+    drawn = {"window_s": window_s, "threshold_hz": threshold_hz, "partials_max": partials_max}
+    parameters = TransformParameters(vibration_top_hz=220.0, **(drawn | VARIANTS[variant]))
     window = parameters.window_frames(samplerate)
 
     def piece(kind, number, share, level):
@@ -257,7 +229,7 @@ def test_it_agrees_in_many_more_decisions_between_equals(**drawn):
 @pytest.mark.parametrize("variant", ["by energy", "followed"])
 def test_a_copy_and_a_pickle_go_on_where_the_stream_stands(per_channel, variant):
     gaps, noise, broken = (SOUNDS[kind](16_000) for kind in ("gaps", "noise", "damaged"))
-    sound = columns(joined(gaps, noise, broken), joined(-gaps, noise[::-1], broken))
+    sound = signals.columns(joined(gaps, noise, broken), joined(-gaps, noise[::-1], broken))
     first, second = sound[:8_001], sound[8_001:]  # amid opposite channels
     parameters = TransformParameters(**VARIANTS[variant])
     transform = made(sound, 16_000, per_channel=per_channel, parameters=parameters)
@@ -265,19 +237,19 @@ def test_a_copy_and_a_pickle_go_on_where_the_stream_stands(per_channel, variant)
     others = [copy.deepcopy(transform), pickle.loads(pickle.dumps(transform))]
     expected = np.concatenate((transform.process(second), transform.finish()))
     for other in others:
-        assert identical(np.concatenate((other.process(second), other.finish())), expected)
+        assert signals.identical(np.concatenate((other.process(second), other.finish())), expected)
         assert other.limited_samples == transform.limited_samples
         assert other.replaced_samples == transform.replaced_samples
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.longdouble, ">f4", ">f8"])
 def test_it_agrees_on_sound_of_unusual_types_and_places_in_memory(dtype):
-    sound = columns(white_noise(0.3, 8_000, 0.5), tone(300, 0.3, 8_000, 0.5)).astype(dtype)
+    sound = signals.columns(white_noise(0.3, 8_000, 0.5), tone(300, 0.3, 8_000, 0.5)).astype(dtype)
     sound[100, 0] = np.nan
     shifted = np.zeros(sound.nbytes + 1, np.uint8)[1:].view(dtype).reshape(sound.shape)
     shifted[:] = sound
     assert not shifted.flags.aligned
-    assert identical(assert_agree(shifted, 8_000), assert_agree(sound, 8_000))
+    assert signals.identical(assert_agree(shifted, 8_000), assert_agree(sound, 8_000))
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -296,7 +268,7 @@ def test_silence_is_the_same_however_its_frames_lie_in_memory(channels, dtype):
         one, other = made(sound, 8_000), made(sound, 8_000)
         for first in range(0, len(sound), block):
             dense, strided = sound[first : first + block], apart[first : first + block]
-            assert identical(one.process(dense), other.process(strided))
+            assert signals.identical(one.process(dense), other.process(strided))
 
 
 DTYPE = "is not sound in full scale; allowed: float32, float64"
@@ -311,12 +283,12 @@ DTYPE = "is not sound in full scale; allowed: float32, float64"
     ],
     ids=lambda block: f"{np.asarray(block).dtype} {np.shape(block)}",
 )
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", signals.FORMS)
 def test_a_block_that_is_refused_leaves_the_stream_as_it_was(form, block):
-    sound = columns(white_noise(0.3, 8_000, 0.5), tone(300, 0.3, 8_000, 0.5))
+    sound = signals.columns(white_noise(0.3, 8_000, 0.5), tone(300, 0.3, 8_000, 0.5))
     transform, other = made(sound, 8_000, form=form), made(sound, 8_000, form=form)
     first = transform.process(sound[:1_000])
     with pytest.raises(UsageError, match=rf"a block of.*({DTYPE}|allowed: \(frames, 2\))"):
         transform.process(block)
     whole = np.concatenate((first, transform.process(sound[1_000:]), transform.finish()))
-    assert identical(whole, np.concatenate((other.process(sound), other.finish())))
+    assert signals.identical(whole, np.concatenate((other.process(sound), other.finish())))

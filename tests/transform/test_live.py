@@ -1,5 +1,3 @@
-"""The live form: what it must achieve on tones, onsets, noise and recordings."""
-
 import numpy as np
 import pytest
 import soundfile
@@ -9,29 +7,10 @@ from hypothesis import strategies as st
 from audioflinger_hook.transform import HapticTransform, TransformParameters
 from audioflinger_hook.transform.principal import magnitude
 from audioflinger_hook.transform.reference import ReferenceTransform
-from tests.support.principal import principal_in
+from tests.oracle.analysis import principal_in
+from tests.support import signals
 from tests.support.recordings import require_recordings
-from tests.support.signals import (
-    SAMPLERATES,
-    best_sinusoid,
-    burst,
-    chirp,
-    energy_above_db,
-    envelope,
-    felt_hz,
-    identical,
-    joined,
-    low_noise,
-    made,
-    one_sample,
-    played,
-    silence,
-    square,
-    thinned,
-    times,
-    tone,
-    white_noise,
-)
+from tests.support.signals import SAMPLERATES, best_sinusoid, burst, felt_hz, joined, made, tone
 
 PARAMETERS = TransformParameters()
 
@@ -62,7 +41,7 @@ def test_a_steady_tone_is_a_pure_sinusoid_as_strong_as_in_the_reference(hz, ampl
     sound = tone(hz, 5.0, samplerate, amplitude)
     vibration = made(sound, samplerate).process(sound)[:, 0]
     middle = vibration[round(1.5 * samplerate) : round(3.5 * samplerate)]
-    found_hz, level, residual_db = best_sinusoid(*thinned(middle, samplerate), felt_hz(hz))
+    found_hz, level, residual_db = best_sinusoid(*signals.thinned(middle, samplerate), felt_hz(hz))
     assert abs(found_hz - felt_hz(hz)) <= 0.05
     assert residual_db <= -70.0
     # The reference's own level moves by 0.2 dB; at full scale its side lobes can pass C_th.
@@ -86,7 +65,7 @@ def assert_inaudible(sound, samplerate):
     calm = np.zeros((samplerate, *sound.shape[1:]))
     vibration = made(sound, samplerate).process(np.concatenate((sound, calm)))[:, 0]
     assert vibration.any()
-    assert energy_above_db(vibration, AUDIBLE_HZ, samplerate) <= -50.0
+    assert signals.energy_above_db(vibration, AUDIBLE_HZ, samplerate) <= -50.0
     # A signal that ends at 250 Hz and stays within its peak cannot be steeper than that.
     assert steepest(vibration, samplerate) <= np.abs(vibration).max()
 
@@ -100,7 +79,7 @@ def test_no_recording_makes_an_audible_vibration_or_a_step():
 @pytest.mark.parametrize("samplerate", SAMPLERATES)
 @pytest.mark.parametrize("amplitude", [0.15, 1.0])
 def test_white_noise_makes_no_audible_vibration_and_no_step(samplerate, amplitude):
-    assert_inaudible(white_noise(2.0, samplerate, amplitude), samplerate)
+    assert_inaudible(signals.white_noise(2.0, samplerate, amplitude), samplerate)
 
 
 @pytest.mark.parametrize("samplerate", [44_100, 48_000])
@@ -109,11 +88,11 @@ def test_sounds_that_start_stop_or_merge_make_no_audible_vibration_and_no_step(s
     merging = tone(1_000, 2.0, samplerate, 0.4, 0.0)
     for sound in (
         joined(*pulses),
-        one_sample(0.5, samplerate, 0.2),
-        square(83, 0.5, samplerate),
-        square(61, 0.5, samplerate),
-        joined(silence(0.25, samplerate), np.full(samplerate // 4, 0.8)),
-        chirp(60, 11_000, 1.0, samplerate, 1.0),
+        signals.one_sample(0.5, samplerate, 0.2),
+        signals.square(83, 0.5, samplerate),
+        signals.square(61, 0.5, samplerate),
+        joined(signals.silence(0.25, samplerate), np.full(samplerate // 4, 0.8)),
+        signals.chirp(60, 11_000, 1.0, samplerate, 1.0),
         *(merging + tone(1_000 + gap, 2.0, samplerate, 0.4, 1.0) for gap in (20, 30, 60, 90)),
     ):
         assert_inaudible(sound, samplerate)
@@ -121,15 +100,14 @@ def test_sounds_that_start_stop_or_merge_make_no_audible_vibration_and_no_step(s
 
 def test_the_reference_form_does_make_such_steps():
     # So that the measure above is known to see one.
-    vibration = played(chirp(60, 11_000, 1.0, 48_000), 48_000, form="reference")[:, 0]
+    sweep = signals.chirp(60, 11_000, 1.0, 48_000)
+    vibration = signals.played(sweep, 48_000, form="reference")[:, 0]
     assert steepest(vibration, 48_000) > 3 * np.abs(vibration).max()
 
 
 def agreement_with_reference(sound, samplerate):
-    """Return how many principal frequencies both forms find, the live one, the reference one.
-
-    Both see the same band-passed units, before any pruning; a pair may be half a bin apart.
-    """
+    """Return how many principal frequencies of the same units, before any pruning, both forms find,
+    the live one, the reference one; a pair may be half a bin apart."""
     form = ReferenceTransform(PARAMETERS, samplerate)
     units = np.concatenate((form.cut(sound), form.cut_last()))
     theirs = form._finder.all_principal(magnitude(form._spectrum.transform(units)))
@@ -152,7 +130,7 @@ def test_it_finds_the_principal_frequencies_of_the_reference():
     noises = [
         agreement_with_reference(noise, rate)
         for rate in (8_000, 44_100, 48_000)
-        for noise in (white_noise(1.0, rate), low_noise(1.0, rate, 0.1))
+        for noise in (signals.white_noise(1.0, rate), signals.low_noise(1.0, rate, 0.1))
     ]
     for both, ours, theirs in (counts, *noises):
         assert both / ours >= 0.95
@@ -164,7 +142,7 @@ def test_every_tone_is_felt_equally_strong_at_all_samplerates():
     for hz in np.geomspace(150, 3_000, 40):
         sounds = [tone(hz, 1.0, samplerate, 0.3) for samplerate in SAMPLERATES]
         felt = [made(*one).process(one[0])[:, 0] for one in zip(sounds, SAMPLERATES, strict=True)]
-        ends = [thinned(one[one.size // 2 :], one.size) for one in felt]
+        ends = [signals.thinned(one[one.size // 2 :], one.size) for one in felt]
         assert np.ptp(20 * np.log10([best_sinusoid(*end, felt_hz(hz))[1] for end in ends])) <= 0.1
 
 
@@ -172,12 +150,12 @@ def loud_piece(kind, hz, amplitude, samplerate):
     hz = min(hz, 0.45 * samplerate)
     return {
         "tone": lambda: tone(hz, 0.1, samplerate, amplitude),
-        "square": lambda: square(hz, 0.1, samplerate, amplitude),
-        "noise": lambda: white_noise(0.1, samplerate, amplitude, seed=round(hz)),
+        "square": lambda: signals.square(hz, 0.1, samplerate, amplitude),
+        "noise": lambda: signals.white_noise(0.1, samplerate, amplitude, seed=round(hz)),
         "burst": lambda: burst(hz, 0.02, 0.1, samplerate, amplitude),
-        "sample": lambda: one_sample(0.1, samplerate, 0.05, amplitude),
+        "sample": lambda: signals.one_sample(0.1, samplerate, 0.05, amplitude),
         "DC": lambda: np.full(samplerate // 10, amplitude),
-        "silence": lambda: silence(0.1, samplerate),
+        "silence": lambda: signals.silence(0.1, samplerate),
     }[kind]()
 
 
@@ -224,19 +202,19 @@ def test_the_limiter_counts_what_it_changes_and_leaves_quiet_sound_alone():
 def test_a_limited_tone_is_still_pure():
     sound = tone(440, 3.0, 48_000, 10.0)
     vibration = made(sound, 48_000).process(sound)[48_000:, 0]
-    assert best_sinusoid(*thinned(vibration, 48_000), felt_hz(440))[2] <= -60.0
+    assert best_sinusoid(*signals.thinned(vibration, 48_000), felt_hz(440))[2] <= -60.0
     assert 0.95 < np.abs(vibration).max() < 1.0
 
 
 @pytest.mark.parametrize("samplerate", [8_000, 44_100, 48_000, 192_000])
 @pytest.mark.parametrize("hz", [60.0, 100.0, 145.0, 300.0, 1_000.0, 3_000.0])
 def test_the_level_of_what_lasts_follows_as_late_as_declared(samplerate, hz):
-    time = times(4.0, samplerate)
+    time = signals.times(4.0, samplerate)
     swell_hz = 2.0
     sound = tone(hz, 4.0, samplerate, 0.3) * (1 + 0.6 * np.sin(2 * np.pi * swell_hz * time))
     transform = made(sound, samplerate)
-    strength, rate = thinned(transform.process(sound)[:, 0], samplerate)
-    strength = envelope(strength, rate)[round(rate) : round(3 * rate)]
+    strength, rate = signals.thinned(transform.process(sound)[:, 0], samplerate)
+    strength = signals.envelope(strength, rate)[round(rate) : round(3 * rate)]
     turn = np.exp(-2j * np.pi * swell_hz * (np.arange(strength.size) / rate))
     delay_s = -(np.angle((strength * turn).sum()) + np.pi / 2) / (2 * np.pi * swell_hz)
     delay_s %= 1 / swell_hz
@@ -257,18 +235,18 @@ def test_the_declared_latency_is_about_the_same_time_at_every_samplerate():
 
 @pytest.mark.parametrize("samplerate", [8_000, 44_100, 48_000])
 def test_after_the_sound_it_rings_out_into_exact_zeros(samplerate):
-    sound = joined(tone(200, 0.5, samplerate), white_noise(0.2, samplerate))
+    sound = joined(tone(200, 0.5, samplerate), signals.white_noise(0.2, samplerate))
     transform = made(sound, samplerate)
     transform.process(sound)
-    ringing = transform.process(silence(0.6, samplerate))
+    ringing = transform.process(signals.silence(0.6, samplerate))
     assert np.abs(ringing).max() > 0.01
     # The last hops fall silent together: no step above the ringing's own end.
     assert np.abs(ringing[ringing[:, 0].nonzero()[0][-100:], 0]).max(initial=0.0) < 1e-9
-    assert not transform.process(silence(2.0, samplerate)).any()
+    assert not transform.process(signals.silence(2.0, samplerate)).any()
 
 
 def test_finish_gives_what_silence_would_have_brought():
     sound = tone(300, 0.31, 44_100)
-    finished, transform = played(sound, 44_100), made(sound, 44_100)
+    finished, transform = signals.played(sound, 44_100), made(sound, 44_100)
     silenced = transform.process(np.concatenate((sound, np.zeros(transform.latency_frames))))
-    assert identical(finished, silenced)
+    assert signals.identical(finished, silenced)

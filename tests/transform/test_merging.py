@@ -1,5 +1,3 @@
-"""Partials that a body cannot tell apart: they become one, steady, and lose no energy."""
-
 from dataclasses import replace
 from itertools import pairwise
 
@@ -59,9 +57,8 @@ def clicks(a_second, seconds, samplerate=RATE, height=0.5):
     return sound
 
 
-PARTIALS = st.lists(
-    st.tuples(st.floats(20.0, 220.0), st.floats(1e-6, 1.0)), min_size=1, max_size=24
-).map(sorted)
+PARTIAL = st.tuples(st.floats(20.0, 220.0), st.floats(1e-6, 1.0))
+PARTIALS = st.lists(PARTIAL, min_size=1, max_size=24).map(sorted)
 SOUNDING = st.lists(st.floats(20.0, 220.0), max_size=24)
 
 

@@ -1,5 +1,3 @@
-"""Strength by loudness: vibration as strong as sound is loud, at any volume, and nothing pumps."""
-
 from dataclasses import replace
 
 import numpy as np
@@ -21,20 +19,8 @@ from tests.oracle import settings_of, vibration_of
 from tests.oracle.loudness import loudness
 from tests.oracle.strength import Strength
 from tests.oracle.voice import Voice
-from tests.support.signals import (
-    best_sinusoid,
-    columns,
-    identical,
-    joined,
-    level_db,
-    one_sample,
-    opened,
-    played,
-    silence,
-    thinned,
-    tone,
-    white_noise,
-)
+from tests.support import signals
+from tests.support.signals import best_sinusoid, identical, joined, level_db, played, silence, tone
 
 RATE = 48_000
 FOLLOWED = TransformParameters(loudness_db=30.0, amplitude_mapping="energy")
@@ -112,7 +98,7 @@ def test_loudness_is_that_of_iso_532_1_but_deep_tones_are_louder_and_so_is_noise
         assert found[hz] == pytest.approx(iso_phon + 2, abs=5.0)
     for hz, deep_phon in DEEP_PHON.items():
         assert found[hz] == pytest.approx(deep_phon, abs=1.5)
-    noise = white_noise(0.1, RATE, 0.1)
+    noise = signals.white_noise(0.1, RATE, 0.1)
     same = tone(1_000, 0.1, RATE, float(np.sqrt(2) * noise.std()))
     assert phon(noise) > phon(same) + 6.0
 
@@ -237,7 +223,7 @@ def test_equal_loudness_is_felt_equally_strong_at_every_vibration_frequency():
             softest, loudest = (middle, loudest) if is_soft else (softest, middle)
         sound = tone(audio_hz, 1.5, RATE, 10 ** (softest / 20))
         vibration = played(sound, RATE, parameters=parameters)[RATE // 2 : 3 * RATE // 2, 0]
-        _, amplitude, _ = best_sinusoid(*thinned(vibration, RATE), hz)
+        _, amplitude, _ = best_sinusoid(*signals.thinned(vibration, RATE), hz)
         felt_db.append(20 * np.log10(amplitude * 40.0 / hz))
     assert max(felt_db) - min(felt_db) < 1.0
     # Without it the same amplitude would be felt 16 dB weaker at 200 Hz than at 30.
@@ -255,10 +241,8 @@ def test_strength_rig_levels_what_a_resonant_seat_makes_of_tones(rig):
             drive = played(sound, RATE, parameters=settings.transform_parameters)[:, 0]
             moved = LinearActuator(rig.actuator, RATE).move(drive.astype(np.float64))
             # Felt is acceleration by the inverse of its frequency.
-            felt = decibels(
-                np.std(moved.acceleration_m_s2[RATE:]) / mapping.vibration_hz(np.array([hz]))[0]
-            )
-            felt_db.append(float(felt))
+            felt = np.std(moved.acceleration_m_s2[RATE:]) / mapping.vibration_hz(np.array([hz]))
+            felt_db.append(float(decibels(felt[0])))
         spread_db[strength] = np.ptp(felt_db)
     assert spread_db["rig"] < 0.5 * spread_db["felt"], spread_db
 
@@ -278,8 +262,8 @@ def test_what_is_under_the_loudness_floor_is_not_felt():
     for sound, felt in (
         (10 ** (-70 / 20) * tone(1_000, 0.5, RATE), False),
         (10 ** (-57 / 20) * tone(1_000, 0.5, RATE), True),
-        (white_noise(0.5, RATE, 5e-5), False),
-        (white_noise(0.5, RATE, 3e-3), True),
+        (signals.white_noise(0.5, RATE, 5e-5), False),
+        (signals.white_noise(0.5, RATE, 3e-3), True),
     ):
         assert played(faded * sound, RATE, parameters=FOLLOWED).any() == felt
 
@@ -292,14 +276,14 @@ def test_hum_and_dither_of_a_quiet_room_are_not_felt(profile):
         hum = sum(tone(each * n, seconds, samplerate, 1.5e-4 / n) for n in (1, 2, 3, 4))
         assert not played(faded * hum, samplerate, parameters=parameters_of(profile)).any()
     # Of 16 bits, triangular.
-    dither = sum(white_noise(seconds, samplerate, 2.0**-16, seed) for seed in (1, 2))
+    dither = sum(signals.white_noise(seconds, samplerate, 2.0**-16, seed) for seed in (1, 2))
     assert not played(faded * dither, samplerate, parameters=parameters_of(profile)).any()
 
 
 @pytest.mark.parametrize("lift_db", [10.0, 30.0])
 def test_quiet_noise_is_lifted_by_no_more_than_was_asked_for(lift_db):
     parameters = TransformParameters(loudness_db=lift_db, amplitude_mapping="energy")
-    sound = white_noise(3.0, 16_000, 10 ** (-54 / 20))
+    sound = signals.white_noise(3.0, 16_000, 10 ** (-54 / 20))
     lowest_hz = parameters.live_threshold_hz
     plain = TransformParameters(threshold_hz=lowest_hz, amplitude_mapping="energy")
     lifted, as_it_is = (
@@ -341,7 +325,7 @@ WORST = {
     "damaged noise": DAMAGED,
     "full-scale noise": np.random.default_rng(0).choice([-1.0, 1.0], 5 * RATE),
     "noise 60 dB over": 1e3 * NOISE[: RATE // 3],
-    "one sample 60 dB over": one_sample(0.4, RATE, 0.2, 1e3),
+    "one sample 60 dB over": signals.one_sample(0.4, RATE, 0.2, 1e3),
     "a tone that jumps": jumping(0.9 * np.sin(440.0 * np.pi * MINUTE_S)),
     "noise that jumps": jumping(NOISE),
 }
@@ -350,7 +334,7 @@ WORST = {
 @pytest.mark.parametrize("profile", OTHERS)
 @pytest.mark.parametrize("name", WORST)
 def test_whatever_plays_vibration_is_bounded_and_has_no_steps(profile, name):
-    vibration = played(columns(WORST[name]), RATE, parameters=parameters_of(profile))[:, 0]
+    vibration = played(signals.columns(WORST[name]), RATE, parameters=parameters_of(profile))[:, 0]
     assert np.isfinite(vibration).all()
     assert np.abs(vibration).max() < 1.0
     # a step of 2 % of full scale has 2 % at once over 1 kHz, a vibration of 220 Hz nearly nothing
@@ -361,8 +345,8 @@ def test_whatever_plays_vibration_is_bounded_and_has_no_steps(profile, name):
 @pytest.mark.parametrize("profile", OTHERS)
 @pytest.mark.parametrize("samplerate", [8_000, RATE])
 def test_a_file_that_begins_amid_a_sound_begins_with_a_fade(profile, samplerate):
-    sound = tone(440, 1.0, samplerate, 0.5) + white_noise(1.0, samplerate, 0.1)
-    transform = opened(samplerate, 1, "live", parameters=parameters_of(profile))
+    sound = tone(440, 1.0, samplerate, 0.5) + signals.white_noise(1.0, samplerate, 0.1)
+    transform = signals.opened(samplerate, 1, "live", parameters=parameters_of(profile))
     late = transform.latency_frames
     vibration = transform.process(np.concatenate((sound, np.zeros(late)))[:, None])[:, 0]
     assert not vibration[:late].any()
@@ -374,12 +358,12 @@ def test_a_file_that_begins_amid_a_sound_begins_with_a_fade(profile, samplerate)
 @pytest.mark.parametrize("parameters", [FOLLOWED, WIDE, parameters_of("cinema"), LEVELLED])
 def test_the_core_follows_as_its_oracle_does(parameters):
     samplerate = 16_000
-    quiet, broken = 0.02 * talk(1.0, samplerate), white_noise(0.3, samplerate, 0.4)
+    quiet, broken = 0.02 * talk(1.0, samplerate), signals.white_noise(0.3, samplerate, 0.4)
     broken[::50] = np.nan
     boom = explosion(samplerate, np.random.default_rng(2), 0.86).mean(axis=1)[:samplerate]
     sound = joined(talk(1.5, samplerate), quiet, silence(0.7, samplerate), boom, broken, quiet)
     # A bang far over full scale, which is no other volume, and a noise that is one.
-    loud = white_noise(1.5, samplerate, 30.0)
+    loud = signals.white_noise(1.5, samplerate, 30.0)
     sound = joined(sound, loud[: samplerate // 4], quiet, quiet, loud, quiet)
     vibration = played(sound, samplerate, parameters=parameters)
     assert np.abs(vibration - vibration_of(sound, samplerate, parameters).samples).max() < 1e-6
@@ -395,7 +379,7 @@ def test_the_reference_form_follows_no_loudness_and_suppresses_no_speech():
 @pytest.mark.sweep
 def test_a_softer_side_stays_softer_by_the_law_as_voices_share_the_programme_s_level():
     loud, soft = tone(440, 6.0, 8_000, 0.3), tone(440, 6.0, 8_000, 0.03)
-    together = played(columns(loud, soft), 8_000, per_channel=True, parameters=WIDE)
+    together = played(signals.columns(loud, soft), 8_000, per_channel=True, parameters=WIDE)
     voices = (*together.T, played(soft, 8_000, parameters=WIDE)[:, 0])
     left_db, right_db, alone_db = (level_db(each[40_000:48_000]) for each in voices)
     # 20 dB of level are 20 phon; the programme is that of the louder side.
@@ -407,7 +391,7 @@ def test_a_softer_side_stays_softer_by_the_law_as_voices_share_the_programme_s_l
 def test_voices_that_hear_the_same_are_what_one_is_and_a_steady_tone_is_felt_steady():
     sound = joined(talk(0.6, 16_000), silence(0.5, 16_000), 0.1 * talk(0.4, 16_000))
     alone = played(sound, 16_000, parameters=FOLLOWED)
-    together = played(columns(sound, sound), 16_000, per_channel=True, parameters=FOLLOWED)
+    together = played(signals.columns(sound, sound), 16_000, per_channel=True, parameters=FOLLOWED)
     for side in (0, 1):
         assert identical(together[:, side].copy(), alone[:, 0])
     vibration = played(tone(440, 6.0, RATE, 0.1), RATE, parameters=FOLLOWED)[:, 0]

@@ -24,7 +24,6 @@ NAME = "haptic-cushion"  # prefix of the names of nodes and files
 END_S = 0.2  # longest wait for the end of the process; then the process is killed
 POLICY_FIELD = 38  # index in /proc/PID/task/TID/stat after the program's name; see proc(5)
 PLUGIN = "haptic_cushion: "  # prefix of the plugin's messages
-LOG_BYTES = 2_000  # number of bytes that are read from the end of the log
 
 _numbers = count(1)
 
@@ -153,11 +152,6 @@ class Chain:
         return self.wanted.plan
 
     @property
-    def rigs(self) -> tuple[DrivenRig | None, ...]:
-        """The rigs that the core drives now."""
-        return self.design.rigs
-
-    @property
     def is_changing(self) -> bool:
         """Whether the plugin has not yet changed to the wanted design."""
         return self.design is not self.wanted
@@ -171,11 +165,9 @@ class Chain:
         try:
             self.wanted = self._prepared(plan, drives, self.design.number + 1)
             self.page.layout.wanted = self.wanted.number
-            file = os.open(self._files["changes"], os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-            try:
-                os.write(file, b"\0")
-            finally:
-                os.close(file)
+            flags = os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC
+            with os.fdopen(os.open(self._files["changes"], flags), "wb", 0) as file:
+                os.write(file.fileno(), b"\0")
         except OSError:  # the plugin does not listen, or the disk is full
             self._refuse()
 
@@ -262,7 +254,7 @@ class Chain:
 
     def _said(self) -> list[str]:
         try:
-            text = self._files["log"].read_bytes()[-LOG_BYTES:]
+            text = self._files["log"].read_bytes()[-2_000:]
         except OSError:
             return []
         return text.decode("utf-8", "replace").strip().splitlines()

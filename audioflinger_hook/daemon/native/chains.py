@@ -19,7 +19,6 @@ FADE_S = 0.4  # longest wait for a fade, which never ends while the graph is idl
 STUCK_S = 1.0  # time without progress, after which a chain is replaced if a stream plays
 START_S = 5.0  # longest time from the start of a process until its ports exist
 RESTART_S = 1.5  # age at which a process is restarted once; PipeWire 0.3 stalls 2 % of clients
-START_WAIT_S = 1.0  # longest wait between two attempts to start a process
 SETTLED_FRAMES = 9_600  # number of frames that a new chain processes before it plays
 SETTLED_S = 0.3  # longest wait for these frames, in case nothing plays
 PRIORITY_S = 1.0  # time from linking a chain until the priority of its process is checked
@@ -117,7 +116,7 @@ class Chains:
         self._sound_gain, self._offset_s = 1.0, 0.0
         self._has_restarted = False
         self.problem = ""
-        self.backoff = Backoff(longest_s=START_WAIT_S)
+        self.backoff = Backoff(longest_s=1.0)
         self.current: RunningChain | None = None
         self.following: RunningChain | None = None
         self.leaving: list[RunningChain] = []
@@ -165,8 +164,7 @@ class Chains:
                 running.note_frames(now_s, is_fed=is_fed)
                 # A current chain that has played is not closed here; `make` replaces this chain.
                 is_refused = not running.frames and running.chain.complaint
-                has_failed = running is self.following or is_refused
-                if has_failed and running.stands_s(now_s) > STUCK_S:
+                if running.stands_s(now_s) > STUCK_S and (running is self.following or is_refused):
                     raise LostError(
                         "the native engine processes nothing although sound plays"
                         f"{running.chain.last_words()}"
@@ -306,6 +304,5 @@ class Chains:
             for slot in range(len(plan.actuators)):
                 page.set_actuator(slot, level, offset_s * plan.samplerate, holds=holds)
         for slot, actuator in enumerate(settings.actuators[: len(plan.actuators)]):
-            delay_s = offset_s + 1e-3 * actuator.delay_ms
-            delay_frames = delay_s * plan.samplerate
+            delay_frames = (offset_s + 1e-3 * actuator.delay_ms) * plan.samplerate
             page.set_actuator(slot, level * actuator.factor, delay_frames, holds=holds)

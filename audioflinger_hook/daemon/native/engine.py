@@ -6,17 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from audioflinger_hook.daemon.inputs.applications import Applications
+from audioflinger_hook.daemon.native import taps
 from audioflinger_hook.daemon.native.chain import NAME, Chain
 from audioflinger_hook.daemon.native.chains import FADE_S, Chains, Restore, RunningChain
 from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns
-from audioflinger_hook.daemon.native.taps import (
-    ChainEnds,
-    ChainWiring,
-    Tap,
-    port_names,
-    tap_of,
-    why_unlinkable,
-)
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import Cause, StateKeeper
 from device.drive.channel_positions import actuators_of_channels
@@ -52,14 +45,13 @@ class NativeEngine:
         designs: DriveDesigns,
         monitor_reason: str = "",
     ) -> None:
-        self._config = config
-        self._states = states
+        self._config, self._states = config, states
         self.watch = GraphWatch(on_change)
         self.errors = NodeErrors()
         self.chains = Chains(config, folder, restore, designs)
         self.designs = designs
-        self._tap: Tap | None = None
-        self._wiring = ChainWiring()
+        self._tap: taps.Tap | None = None
+        self._wiring = taps.ChainWiring()
         self._has_played = False
         self._faded_s = math.inf
         self.monitor_reason, self._must_use_monitor = monitor_reason, bool(monitor_reason)
@@ -81,10 +73,10 @@ class NativeEngine:
         changes = chain is None or chain.is_changing
         return self.audible and not changes and chains.following is None and not chains.leaving
 
-    def unseen(self, tap: Tap, device: Sink) -> str:
+    def unseen(self, tap: taps.Tap, device: Sink) -> str:
         """Return why tap or device cannot be linked, "" if both can be linked."""
         with self.watch.lock:
-            return why_unlinkable(self.watch.graph, tap, device.name)
+            return taps.why_unlinkable(self.watch.graph, tap, device.name)
 
     def follow(self, config: RunConfig) -> None:
         """Apply another config. The next `maintain` starts a new chain if necessary."""
@@ -103,8 +95,14 @@ class NativeEngine:
         other errors, see `Chain`.
         """
         self._faded_s = math.inf
-        tap = tap_of(found, self._config.rules, self._config.left_out)
-        self._note_moves(tap)
+        tap = taps.tap_of(found, self._config.rules, self._config.left_out)
+        before, self._tap = self._tap, tap
+        if before != tap:
+            if not self._must_use_monitor:
+                self.monitor_reason = ""
+            is_moved = before and before.sink and tap.sink and before.sink != tap.sink
+            if is_moved and self._config.tap.kind == "default":
+                self._states.count(Cause.DEFAULT_CHANGED, f"the tap is now: {tap.name}")
         if self.watch.lost:
             raise LostError("the connection to PipeWire's graph was lost")
         with self.watch.lock:
@@ -118,8 +116,7 @@ class NativeEngine:
             except LostError:
                 self.audible = self.audible and chains.current is not None
                 raise
-            plan = ChainPlan.of(self._config.settings, tap, chains.samplerate(graph))
-            chains.make(plan, now_s)
+            chains.make(ChainPlan.of(self._config.settings, tap, chains.samplerate(graph)), now_s)
             self._wire(tap, device, now_s)
             self._note_links(now_s)
             self._choose_way(now_s)
@@ -172,17 +169,6 @@ class NativeEngine:
         self.errors.close()
         self.watch.close()
 
-    def _note_moves(self, tap: Tap) -> None:
-        before, self._tap = self._tap, tap
-        if before == tap:
-            return
-        if not self._must_use_monitor:
-            self.monitor_reason = ""
-        if before is None or not (before.sink and tap.sink) or before.sink == tap.sink:
-            return
-        if self._config.tap.kind == "default":
-            self._states.count(Cause.DEFAULT_CHANGED, f"the tap is now: {tap.name}")
-
     def _has_session(self, now_s: float) -> bool:
         """Return whether the session manager runs; end all chains after its end or restart.
 
@@ -199,15 +185,15 @@ class NativeEngine:
         self.waits_for = "PipeWire's session manager (WirePlumber) does not run" if gone else ""
         return not gone
 
-    def _wire(self, tap: Tap | None, device: Sink | None, now_s: float) -> None:
+    def _wire(self, tap: taps.Tap | None, device: Sink | None, now_s: float) -> None:
         """Link the chains to tap and device; without a device, remove all links."""
         ends = [one.chain.ends() for one in self.chains.leaving]
         ends += [self._ends(running, tap, device) for running in self.chains.running]
-        self._wiring = ChainWiring(
+        self._wiring = taps.ChainWiring(
             chains=tuple(ends),
             tap=tap,
             device=device.name if device else "",
-            device_positions=port_names(device.channel_map, device.channels) if device else (),
+            device_positions=taps.port_names(device.channel_map, device.channels) if device else (),
             by_monitor=bool(self.monitor_reason),
             silence=f"{NAME}-{os.getpid()}-silence",
         )
@@ -215,7 +201,9 @@ class NativeEngine:
         self.watch.keeper.update(now_s)
         self.is_fed = self._wiring.is_fed(self.watch.graph)
 
-    def _ends(self, running: RunningChain, tap: Tap | None, device: Sink | None) -> ChainEnds:
+    def _ends(
+        self, running: RunningChain, tap: taps.Tap | None, device: Sink | None
+    ) -> taps.ChainEnds:
         plan = running.chain.plan
         if tap is None or device is None or plan.tap_channels != tap.channels:
             return running.chain.ends()

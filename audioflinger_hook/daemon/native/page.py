@@ -8,15 +8,7 @@ from pathlib import Path
 
 from audioflinger_hook.core import structures
 from audioflinger_hook.core.structures import PARTIALS, Controls, Readings
-from audioflinger_hook.daemon.native.layout import (
-    ACTUATORS,
-    BANKS,
-    MAGIC,
-    SIZE,
-    Bank,
-    Layout,
-    ShownReader,
-)
+from audioflinger_hook.daemon.native import layout
 from audioflinger_hook.service.meters import Level, Reading, level_of
 
 DELAY_MAX_S = 2.0
@@ -32,29 +24,25 @@ class Page:
     """
 
     def __init__(self, path: Path, channels: int, vibrations: int, sources: Sequence[int]) -> None:
-        self.path = path
-        self._channels = channels
+        self.path, self._channels = path, channels
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-        file = os.open(path, flags, 0o600)
-        try:
-            os.ftruncate(file, SIZE)
-            memory = mmap.mmap(file, SIZE)
-        finally:
-            os.close(file)
-        self.layout = page = Layout.from_buffer(memory)
-        self.reader = ShownReader(memory, channels, len(sources))
+        with os.fdopen(os.open(path, flags, 0o600), "r+b") as file:
+            file.truncate(layout.SIZE)
+            memory = mmap.mmap(file.fileno(), layout.SIZE)
+        self.layout = page = layout.Layout.from_buffer(memory)
+        self.reader = layout.ShownReader(memory, channels, len(sources))
         self.prepare(0, vibrations, sources)
-        page.size, page.magic = SIZE, MAGIC
+        page.size, page.magic = layout.SIZE, layout.MAGIC
 
-    def prepare(self, number: int, vibrations: int, sources: Sequence[int]) -> Bank:
+    def prepare(self, number: int, vibrations: int, sources: Sequence[int]) -> layout.Bank:
         """Return the bank of the design `number`, with new readings and unit gains.
 
         The design that plays must not use this bank.
         """
-        before, bank = self._playing.controls, self.layout.banks[number % BANKS]
+        before, bank = self._playing.controls, self.layout.banks[number % layout.BANKS]
         ctypes.memset(ctypes.byref(bank), 0, ctypes.sizeof(bank))
         bank.controls.sound_gain = before.sound_gain if number else 1.0
-        for slot, source in enumerate(sources[:ACTUATORS]):
+        for slot, source in enumerate(sources[: layout.ACTUATORS]):
             controls = bank.controls.actuators[slot]
             controls.gain, controls.source = 1.0, source
             controls.audible = before.actuators[slot].audible
@@ -72,8 +60,8 @@ class Page:
         return self._playing.readings  # type: ignore[no-any-return]
 
     @property
-    def _playing(self) -> Bank:
-        return self.layout.banks[self.layout.playing % BANKS]  # type: ignore[no-any-return]
+    def _playing(self) -> layout.Bank:
+        return self.layout.banks[self.layout.playing % layout.BANKS]  # type: ignore[no-any-return]
 
     def show(
         self,
@@ -86,7 +74,7 @@ class Page:
         readings = self.readings
         for place, reading in zip(readings.sound, channels[: self._channels], strict=False):
             place.peak, place.mean_square = reading
-        for place, reading in zip(readings.actuators, actuators[:ACTUATORS], strict=False):
+        for place, reading in zip(readings.actuators, actuators[: layout.ACTUATORS], strict=False):
             place.level.peak, place.level.mean_square = reading
         readings.sequence += 1  # an odd number makes readers try again
         readings.partials_count = min(len(partials), PARTIALS)
@@ -109,7 +97,7 @@ class Page:
         """
         for number, bank in enumerate(self.layout.banks):
             controls = bank.controls.actuators[slot]
-            holds_this = holds and number == self.layout.playing % BANKS
+            holds_this = holds and number == self.layout.playing % layout.BANKS
             if not holds_this or abs(gain) <= abs(controls.gain):
                 controls.gain = gain
             controls.delay_frames = max(0.0, delay_frames)
@@ -158,8 +146,7 @@ class Page:
 
     def channel_readings(self) -> list[Reading]:
         """Return peak and mean square of each channel of the tap."""
-        found = self.readings.sound[: self._channels]
-        return [(level.peak, level.mean_square) for level in found]
+        return [(one.peak, one.mean_square) for one in self.readings.sound[: self._channels]]
 
     def principal(self) -> list[tuple[float, float, float]]:
         """Return the latest partials. See `HapticTransform.principal`."""

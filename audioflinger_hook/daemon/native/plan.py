@@ -17,6 +17,9 @@ from device.errors import CushionError
 from device.process import Call
 from device.units import FloatArray
 
+LONGEST_WAIT_S = 60.0  # longest wait for the next attempt to compute designs after a failure
+KEPT = 64  # above this number of stored designs, designs that are not needed are dropped
+
 
 @dataclass(frozen=True)
 class ChainPlan:
@@ -93,10 +96,6 @@ def drives_of(settings: Settings) -> tuple[tuple[str, ...], ...]:
         tuple(getattr(one, name) or getattr(settings, name) for name in names)
         for one in settings.actuators or (settings,)
     )
-
-
-LONGEST_WAIT_S = 60.0  # longest wait for the next attempt after a failure
-KEPT = 64  # above this number of stored designs, designs that are not needed are dropped
 
 
 class DriveDesigns:

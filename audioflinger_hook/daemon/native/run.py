@@ -9,7 +9,7 @@ from audioflinger_hook.daemon.inputs.base import NOTHING, AudioNode
 from audioflinger_hook.daemon.native.chains import Restore
 from audioflinger_hook.daemon.native.engine import NativeEngine
 from audioflinger_hook.daemon.native.plan import DriveDesigns
-from audioflinger_hook.daemon.native.taps import Tap, tap_of
+from audioflinger_hook.daemon.native.taps import tap_of
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import QUIET_S
@@ -27,9 +27,8 @@ PROVEN_S = 5.0  # if the engine plays this long after the latest failure, failur
 class NativeRun:
     """Runs the native engine while it is chosen.
 
-    folder: private, for files. on_change: another thread calls it when the graph changes.
-    restore: sets the initial state of a new chain's rigs. problem: why the engine cannot be used,
-    or "".
+    folder: private, for files. on_change: another thread calls it when the graph changes. restore:
+    sets the initial state of a new chain's rigs. problem: why the engine cannot be used, or "".
     """
 
     def __init__(
@@ -43,8 +42,7 @@ class NativeRun:
         self._config, self._folder, self._states = config, folder, states
         self._on_change, self._restore = on_change, restore
         self._designs = DriveDesigns()
-        self._played_s = -QUIET_S
-        self._offset_s = 0.0
+        self._played_s, self._offset_s = -QUIET_S, 0.0
         self._volume_of: tuple[PulseConnection, int] | None = None
         self._has_monitor = True
         self.engine: NativeEngine | None = None
@@ -97,9 +95,11 @@ class NativeRun:
             self._began_s = None
             self._states.enter(DaemonState.WAITING_FOR_SERVER, now_s, engine.waits_for)
             return
-        self._note_unseen(
-            engine, tap_of(source, self._config.rules, self._config.left_out), device, now_s
-        )
+        problem = engine.unseen(tap_of(source, self._config.rules, self._config.left_out), device)
+        if not problem or self._seen_s is None:
+            self._seen_s = now_s
+        elif now_s - self._seen_s > UNSEEN_S:
+            self._give_up(problem, now_s)
         self._note_start(engine, plays, now_s)
         if engine.is_fed or (players and engine.monitor_reason):  # others may be left out
             self._played_s = now_s
@@ -176,13 +176,6 @@ class NativeRun:
         self._monitor_reason = reason
         if self.engine is not None:
             self.engine.use_monitor(reason)
-
-    def _note_unseen(self, engine: NativeEngine, tap: Tap, device: Sink, now_s: float) -> None:
-        problem = engine.unseen(tap, device)
-        if not problem or self._seen_s is None:
-            self._seen_s = now_s
-        elif now_s - self._seen_s > UNSEEN_S:
-            self._give_up(problem, now_s)
 
     def _note_start(self, engine: NativeEngine, plays: bool, now_s: float) -> None:
         """Tap the monitor or give up after a long start; forget failures older than PROVEN_S."""

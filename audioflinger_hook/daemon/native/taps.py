@@ -58,7 +58,12 @@ class Tap:
         """Yield the links from tapped streams to sinks. device: sink to leave out."""
         haptic = graph.sink(device)
         avoided = haptic.id if haptic else None
-        microphones = microphones_in(graph)
+        microphones = tuple(  # streams that record from anything except the monitor of a sink
+            stream_of(graph, node)
+            for node in graph.nodes.values()
+            if node.properties.get("media.class") == "Stream/Input/Audio"
+            and str(node.properties.get("stream.capture.sink")).lower() != "true"
+        )
         for sink in graph.nodes_named(self.sink) if self.sink else graph.nodes.values():
             if sink.id == avoided or not sink.is_sink:
                 continue
@@ -101,16 +106,6 @@ def tap_of(
     return Tap(found.name, positions, found.sink, rules, left_out)
 
 
-def microphones_in(graph: Graph) -> tuple[Stream, ...]:
-    """Return the streams that record from anything except the monitor of a sink."""
-    return tuple(
-        stream_of(graph, node)
-        for node in graph.nodes.values()
-        if node.properties.get("media.class") == "Stream/Input/Audio"
-        and str(node.properties.get("stream.capture.sink")).lower() != "true"
-    )
-
-
 def stream_of(graph: Graph, node: Node) -> Stream:
     """Return the `Stream` of a node, by which rules select applications."""
     known = graph.properties_of(node)
@@ -142,8 +137,7 @@ def channels_of(position: str, positions: tuple[str, ...]) -> tuple[int, ...]:
 
 def port_names(channel_map: str, channels: int) -> tuple[str, ...]:
     """Return endings of port names, such as FL for "front-left"; AUX0, AUX1, ... if unknown."""
-    positions = channel_map.split(",") if channel_map else []
-    names = tuple(map(_port_name, positions))
+    names = tuple(map(_port_name, channel_map.split(",") if channel_map else ()))
     if len(names) == channels and len(set(names)) == channels:
         return names
     return tuple(f"AUX{channel}" for channel in range(channels))

@@ -90,8 +90,7 @@ class CardOutput(StreamOutput[CardNode]):
         if self.is_open and playing is not None and playing.playback == playback:
             self._found = playing
             return playing
-        reason = why_blocked(playback)
-        if reason is not None:
+        if reason := why_blocked(playback):
             raise NotFoundError(reason)
         setup = self._setup(playback, self._router.actuators)
         name, known = str(playback), setup if self._mix else None

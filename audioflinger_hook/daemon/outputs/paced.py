@@ -44,8 +44,7 @@ class PacedOutput(Output):
     @property
     def name(self) -> str | None:
         """The address while vibration is written, else None."""
-        runs = self._job is not None and self._pacer.is_doing(self._job)
-        return str(self) if runs else None
+        return str(self) if self._job is not None and self._pacer.is_doing(self._job) else None
 
     @property
     def summary(self) -> str:
@@ -120,9 +119,8 @@ class _Writer:
 
     def __init__(self, output: VibrationOutput, recording: RunRecording | None) -> None:
         self.error: Exception | None = None
-        self.output = output
+        self.output, self._recording = output, recording
         self.fill: Fill
-        self._recording = recording
         self._written = FrameTime()
         self._block = np.zeros((BLOCK_FRAMES, output.channels), np.float32)
 

@@ -159,6 +159,10 @@ async function startAtLogin(on) {
   if (box.disabled) setTimeout(() => startAtLogin(null), 1000);
 }
 
+/** Open a second tab. The browser gives it a copy of the key only if a script opens it. */
+find("second").onclick = find("second").onauxclick = (event) => {
+  if (event.button !== 2 && window.open("/")) event.preventDefault(); // 2: for the context menu
+};
 systemLight.onchange = () => showTheme();
 theme.onclick = () => showTheme(1);
 find("power").onclick = () => act({ mute: !settings?.muted });

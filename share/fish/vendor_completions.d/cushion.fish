@@ -62,6 +62,7 @@ complete -c cushion -n '__fish_seen_subcommand_from catalogue' -l shard -r -d 'p
 complete -c cushion -n '__fish_seen_subcommand_from catalogue' -l dask -r -d 'use a Dask cluster; local - one of this machine'
 complete -c cushion -n '__fish_seen_subcommand_from catalogue' -l max-failures -r -d 'stop after more than N failures; default - never'
 complete -c cushion -n '__fish_seen_subcommand_from catalogue' -l retries -r -d 'retries of failed I/O; default - 3'
+complete -c cushion -n '__fish_seen_subcommand_from catalogue' -l retry-died -d 'try items again that ended their workers in an earlier run'
 complete -c cushion -n '__fish_seen_subcommand_from catalogue' -l verify -d 'identify sounds by SHA-256, not by path, size and time'
 complete -c cushion -n '__fish_seen_subcommand_from catalogue' -l track -r -d 'sound track of films; default - the films'
 complete -c cushion -n '__fish_seen_subcommand_from catalogue' -l language -r -d 'language of the films sound track, such as eng'

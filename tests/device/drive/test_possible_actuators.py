@@ -98,12 +98,9 @@ def largest_inside_the_models(loud, possible_ones, rate):
     names = ("moving_mass_kg", "stiffness_n_per_m", "force_factor_n_per_a")
     shares = [[getattr(model, name) / getattr(p, name) for name in names] for model in models]
     inside = np.vstack([matrix(Possible(*each)) for each in shares])
-    limit = np.full(2 * len(inside), 1.0 - RESERVE)
-    both = np.vstack([inside, -inside])
-    found = [
-        (-linprog(-matrix(one)[-1], A_ub=both, b_ub=limit, bounds=(-1.0, 1.0)).fun, one)
-        for one in possible_ones
-    ]
+    limit, both = np.full(2 * len(inside), 1.0 - RESERVE), np.vstack([inside, -inside])
+    limits = {"A_ub": both, "b_ub": limit, "bounds": (-1.0, 1.0)}
+    found = [(-linprog(-matrix(one)[-1], **limits).fun, one) for one in possible_ones]
     return sorted(found, key=lambda each: -each[0])
 
 

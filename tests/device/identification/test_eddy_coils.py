@@ -99,13 +99,9 @@ def test_a_hardening_spring_on_solid_ground_is_no_seat_however_little_noise_ther
 def fitted_gain(error):
     """The fit of one factor to a response that differs from it by these shares."""
     f = np.linspace(20.0, 400.0, len(error))
-    recording = SimpleNamespace(
-        band=slice(None),
-        usable=slice(None),
-        frequencies_hz=f,
-        reference_spectrum=np.ones(len(f), complex),
-        response_spectrum=2.0 * (1.0 + error),
-    )
+    recording = SimpleNamespace(band=slice(None), usable=slice(None), frequencies_hz=f)
+    recording.reference_spectrum = np.ones(len(f), complex)
+    recording.response_spectrum = 2.0 * (1.0 + error)
 
     def model(f, p):
         gain = np.full(len(f), np.exp(p[0]), complex)

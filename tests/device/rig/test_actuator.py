@@ -18,14 +18,8 @@ ACTUATOR = PAPER.actuator
 UNDAMPED = {"q_mechanical": 1_000.0, "force_factor_n_per_a": 0.5}  # Qts stays near 1000
 STIFF = {"inductance_h": 1e-6}  # L/R is 0.3 us, far below a sample
 OVERDAMPED = {"force_factor_n_per_a": 60.0, "inductance_h": 1e-4}  # three real poles
-CASES = {
-    "paper": {},
-    "Q 1000": UNDAMPED,
-    "1 uH": STIFF,
-    "Q 1000 and 1 uH": UNDAMPED | STIFF,
-    "overdamped": OVERDAMPED,
-    "10 Hz": {"resonance_hz": 10.0},
-}
+CASES = {"paper": {}, "Q 1000": UNDAMPED, "1 uH": STIFF, "Q 1000 and 1 uH": UNDAMPED | STIFF}
+CASES |= {"overdamped": OVERDAMPED, "10 Hz": {"resonance_hz": 10.0}}
 PARAMETERS = [replace(ACTUATOR, **changes) for changes in CASES.values()]
 RATES = [1_000, 8_000, 48_000, 192_000]
 EXTREMES = [math.nan, math.inf, -math.inf, 1.7e308, -1e101, 1e100, -1e100, 1e30, 5e-324, -0.0]
@@ -42,13 +36,8 @@ def physics(p, source_impedance_ohm):
     m, bl, inductance = p.moving_mass_kg, p.force_factor_n_per_a, p.inductance_h
     w0 = math.tau * p.resonance_hz
     resistance = p.resistance_ohm + source_impedance_ohm
-    rate = np.array(
-        [
-            [0, 1, 0],
-            [-(w0**2), -w0 / p.q_mechanical, bl / m],
-            [0, -bl / inductance, -resistance / inductance],
-        ]
-    )
+    force = [-(w0**2), -w0 / p.q_mechanical, bl / m]
+    rate = np.array([[0, 1, 0], force, [0, -bl / inductance, -resistance / inductance]])
     return rate, np.array([0, 0, 1 / inductance]), np.vstack([np.eye(3), rate[1]])
 
 

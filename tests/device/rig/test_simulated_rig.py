@@ -69,11 +69,9 @@ def test_the_instruments_read_the_acceleration_within_their_noise():
     assert PAPER.conditioning
     assert PAPER.daq
     # The charge amplifier's 5 fC and the converter's 280 uV; its steps add 305 uV / sqrt(12).
-    expected = math.hypot(
-        PAPER.conditioning.noise_pc / 0.15,
-        PAPER.daq.noise_v / chain.v_per_m_s2,
-        20.0 / 2**16 / math.sqrt(12) / chain.v_per_m_s2,
-    )
+    charge = PAPER.conditioning.noise_pc / 0.15
+    step_v = 20.0 / 2**16 / math.sqrt(12)
+    expected = math.hypot(charge, math.hypot(PAPER.daq.noise_v, step_v) / chain.v_per_m_s2)
     assert (silent.std(), chain.clipped_samples) == (pytest.approx(expected, rel=0.03), 0)
 
 

@@ -1,6 +1,7 @@
 """Drop-in mode's sink and loopback, as a snapshot shows them."""
 
 import re
+from typing import Any
 
 import pytest
 
@@ -17,13 +18,8 @@ def made(index: int, place: int, device_name: str, module: int, **properties: st
 
 
 def test_sound_cards_are_forwarded_to_first_and_nothing_of_ours_ever():
-    sinks = (
-        sink(1, "virtual"),
-        sink(2, "card", {"device.bus": "pci"}),
-        sink(3, "haptic", {"device.bus": "usb"}),
-        sink(4, SINK),
-        sink(5, FALLBACK_SINK),
-    )
+    cards = sink(2, "card", {"device.bus": "pci"}), sink(3, "haptic", {"device.bus": "usb"})
+    sinks = (sink(1, "virtual"), *cards, sink(4, SINK), sink(5, FALLBACK_SINK))
     for haptic, names in (("haptic", ["card", "virtual"]), (None, ["card", "haptic", "virtual"])):
         assert forwarding.real_sinks(snapshot(sinks=sinks), haptic) == names
 
@@ -31,12 +27,9 @@ def test_sound_cards_are_forwarded_to_first_and_nothing_of_ours_ever():
 def test_sinks_that_a_sound_reaches_are_found_through_modules():
     back, other = made(2, 4, SINK, 8), made(3, 4, SINK, 9)
     sinks = (sink(1, "first"), sink(2, "second"), sink(4, SINK))
-    seen = snapshot(
-        sinks=sinks,
-        sources=tuple(map(monitor, sinks)),
-        sink_inputs=(made(1, 2, "second", 7), back, other),
-        source_outputs=(made(1, 1, "first.monitor", 7), made(2, 2, "second.monitor", 8)),
-    )
+    taps = made(1, 1, "first.monitor", 7), made(2, 2, "second.monitor", 8)
+    streams: Any = {"sink_inputs": (made(1, 2, "second", 7), back, other), "source_outputs": taps}
+    seen = snapshot(sinks=sinks, sources=tuple(map(monitor, sinks)), **streams)
     for sound, reached in (("first", {"first", "second"}), ("second", {"second"})):
         assert forwarding.reachable_sinks(seen, sound) == reached
     assert carries_sound_of(seen, back, {"first", "second"})
@@ -52,18 +45,10 @@ def test_a_loopback_reports_its_route_and_whether_it_is_complete():
     tap = made(1, 4, "", 7, **properties)
     out = made(1, 1, "desktop", 7, **properties)
     moved = made(1, 4, SINK, 7, **properties)
-    for playing, taps, complete in (
-        ((out,), (tap,), True),
-        ((moved,), (tap,), False),
-        ((out,), (), False),
-        ((), (tap,), False),
-    ):
-        seen = snapshot(
-            sinks=(sink(1, "desktop"), sink(4, SINK)),
-            sources=(monitor(sink(4, SINK)),),
-            sink_inputs=playing,
-            source_outputs=taps,
-        )
+    cases = [((out,), (tap,), True), ((moved,), (tap,), False), ((out,), (), False)]
+    for playing, taps, complete in (*cases, ((), (tap,), False)):
+        own, streams = sink(4, SINK), dict[str, Any](sink_inputs=playing, source_outputs=taps)
+        seen = snapshot(sinks=(sink(1, "desktop"), own), sources=(monitor(own),), **streams)
         (found,) = forwarding.loopbacks(seen)
         assert (found.module, found.route, found.complete) == (7, route, complete)
 

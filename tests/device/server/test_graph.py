@@ -165,11 +165,8 @@ def test_another_latency_is_no_change_of_the_wiring():
 def test_of_all_parameters_only_the_latencies_are_read():
     """As `pw-dump` prints them."""
     one = port(11, 10, "playback_FL")
-    one["info"]["params"] = {
-        "EnumFormat": [{"mediaType": "audio"}],
-        "Latency": [latency("Input", maxNs=5)],
-        "ProcessLatency": [],
-    }
+    others = {"EnumFormat": [{"mediaType": "audio"}], "ProcessLatency": []}
+    one["info"]["params"] = {"Latency": [latency("Input", maxNs=5)], **others}
     reading, writing = os.pipe()
     os.write(writing, (json.dumps([one], indent=2) + "\n").encode())
     os.close(writing)

@@ -73,12 +73,9 @@ def test_an_event_silences_until_a_look_that_is_not_older(kind, facility, index,
 
 
 def test_events_of_others_silence_nothing():
-    for one in (
-        event(7, "change", "sink_input", OTHER_STREAM),
-        event(8, "remove", "sink", OTHER_SINK),
-        event(9, "change", "sink", OUR_SINK),
-        event(9, "remove", "source", OUR_SINK),
-    ):
+    others = event(7, "change", "sink_input", OTHER_STREAM), event(8, "remove", "sink", OTHER_SINK)
+    ours = event(9, "change", "sink", OUR_SINK), event(9, "remove", "source", OUR_SINK)
+    for one in (*others, *ours):
         assert PLACED.after_event(one).hold is Hold.FREE
 
 

@@ -18,12 +18,8 @@ from device.units import Float32Array
 from tests.support.alsa_files import BLOCK_S, ToFile, portaudio_with, until
 
 RATE = 48_000
-FORMATS = {
-    SampleFormat.FLOAT32: PcmFormat.FLOAT,
-    SampleFormat.S16: PcmFormat.I16,
-    SampleFormat.S24_3: PcmFormat.I24,
-    SampleFormat.S32: PcmFormat.I32,
-}
+FORMATS = {SampleFormat.FLOAT32: PcmFormat.FLOAT, SampleFormat.S16: PcmFormat.I16}
+FORMATS |= {SampleFormat.S24_3: PcmFormat.I24, SampleFormat.S32: PcmFormat.I32}
 
 
 @pytest.fixture(scope="module")

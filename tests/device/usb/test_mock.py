@@ -42,13 +42,9 @@ def plugged(uac: int, port: str = "1-1", address: int = 5, **options: Any) -> di
     """A device for the testbed. options: of it, those of its dac under "dac"."""
     configuration = SHAPES[uac]()
     device = usb_builder.device(**{"product": 0xDAC0 + uac, **options.pop("ids", {})})
-    dac: dict[str, Any] = {
-        "descriptors": (device + configuration).hex(),
-        "uac": uac,
-        "strings": ["Soft", f"DAC {uac}", "SN1"],
-        **controls_of(configuration),
-        **options.pop("dac", {}),
-    }
+    dac: dict[str, Any] = {"descriptors": (device + configuration).hex(), "uac": uac}
+    dac |= {"strings": ["Soft", f"DAC {uac}", "SN1"], **controls_of(configuration)}
+    dac |= options.pop("dac", {})
     return {"port": port, "address": address, "card": 1, "dac": dac, **options}
 
 
@@ -56,15 +52,10 @@ def within(scene: list[dict[str, Any]], *command: str, log: Path | None = None) 
     """What a command gives that sees these devices and no others."""
     logs = {} if log is None else {"CUSHION_USBMOCK_LOG": str(log)}
     serve = ("umockdev-wrapper", SYSTEM_PYTHON, "-m", "tests.support.usbmock.serve")
-    return subprocess.run(
-        [*serve, json.dumps(scene), "--", *command],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT), **logs},
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    env = {**os.environ, "PYTHONPATH": str(ROOT), **logs}
+    options: Any = {"stdin": subprocess.DEVNULL, "capture_output": True, "timeout": 60}
+    whole = [*serve, json.dumps(scene), "--", *command]
+    return subprocess.run(whole, cwd=ROOT, env=env, text=True, **options)
 
 
 def cushion(scene: list[dict[str, Any]], *arguments: str, log: Path | None = None) -> Any:
@@ -249,12 +240,9 @@ def test_volume_rate_and_mute_of_a_device_without_a_driver_are_set_and_read_back
     wanted = ("--volume-db", "-20.2", "--samplerate", "48000", "--mute", "on")
     done = cushion(scene, "usb", "set", f"usb:1209:dac{uac}", *wanted, log=log)
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.splitlines() == [
-        "mute of channel 0: on",
-        "samplerate: 48000 Hz",
-        "volume of channel 1: -20.50 dB",
-        "volume of channel 2: -20.50 dB",
-    ]
+    volumes = [f"volume of channel {channel}: -20.50 dB" for channel in (1, 2)]
+    lines = ["mute of channel 0: on", "samplerate: 48000 Hz", *volumes]
+    assert done.stdout.splitlines() == lines
     (asked,) = json.loads(log.read_text()).values()
     sets = [data for request_type, *_, data in asked if request_type in (0x21, 0x22)]
     assert sets == ["01", *(["80bb00"] if uac == 1 else ["80bb0000"]), "80eb", "80eb"]
