@@ -65,12 +65,14 @@ def unexpected(error: Exception) -> CushionError:
     """Return the error that a user sees for an exception of another class."""
     said = f"{type(error).__name__}: {error}"
     if _NO_FOLDER in said:
-        where = os.environ.get("TMPDIR", "unset")
+        where = os.environ.get("TMPDIR", "not set")
         return UsageError(
-            f"no folder for temporary files can be used; TMPDIR is {where}: change it"
+            f"no folder for temporary files can be used; TMPDIR is {where}; name a usable folder"
         )
     if isinstance(error, MemoryError) or _NO_MEMORY.search(said):
         soft, _ = resource.getrlimit(resource.RLIMIT_AS)
+        if soft < 0 and "start new thread" in said:
+            return InternalError("no more threads can start; raise the limit of them (ulimit -u)")
         limit = f"raise the limit of {soft >> 20} MB (ulimit -v)" if soft > 0 else "add memory"
         return InternalError(f"no memory is left ({type(error).__name__}); {limit}")
     return InternalError(f"{said}; this is a fault of cushion, please report it")

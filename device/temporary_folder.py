@@ -1,14 +1,17 @@
-"""Temporary folders. If a process is killed, a later one deletes its folders."""
+"""Temporary folders. If a process is killed, a later one on the same computer deletes them."""
 
 import fcntl
+import glob
 import os
+import platform
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-PREFIX = ".cushion-run-"
+# Other computers do not see a lock on a shared folder, so each deletes only its own folders.
+PREFIX = f".cushion-run-{platform.node()}-"
 
 
 @contextmanager
@@ -35,7 +38,7 @@ def temporary_folder(above: str | Path | None = None) -> Iterator[Path]:
 def delete_abandoned_folders(above: Path | None = None) -> None:
     """Delete the folders in `above`, or TMPDIR and /tmp, that ended processes have left."""
     places = [above] if above else {Path(tempfile.gettempdir()), Path("/tmp")}
-    for folder in [one for place in places for one in place.glob(f"{PREFIX}*")]:
+    for folder in [one for place in places for one in place.glob(f"{glob.escape(PREFIX)}*")]:
         with suppress(OSError):  # it is in use, or another process deletes it
             lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
             try:

@@ -1,6 +1,5 @@
 """One item of a catalogue, and the columns that describe it in a manifest."""
 
-import os
 import re
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
@@ -141,7 +140,7 @@ def _usable(part: str, is_taken: bool = False) -> str:
     """Return a part of a path; if it cannot be printed or used, with a hash of it."""
     if part.isprintable() and len(part.encode()) <= USABLE_BYTES and not is_taken:
         return part
-    content = os.fsencode(part)
+    content = part.encode("utf-8", "surrogatepass")
     start = "".join(one if one.isprintable() else "_" for one in part).encode()[:USABLE_BYTES]
     return f"{start.decode(errors='ignore')}-{blake2b(content, digest_size=4).hexdigest()}"
 

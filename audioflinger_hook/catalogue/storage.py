@@ -41,6 +41,13 @@ class Stamp:
     stamp: str
 
 
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WriteError(f"cannot make the folder {folder}: {error.strerror}") from error
+
+
 class LocalStorage:
     """A local folder of results. Any thread may call the methods. `name`: path in the folder."""
 
@@ -79,7 +86,9 @@ class LocalStorage:
 
     def write(self, name: str, content: bytes) -> None:
         """Write a small file. A power failure may leave part of the file, which readers detect."""
-        file = AtomicFile(self._root / name)
+        path = self._root / name
+        _make_folder(path.parent)
+        file = AtomicFile(path)
         file.write(content)
         file.commit(sync=False)
 
@@ -94,10 +103,7 @@ class LocalStorage:
         Return the result of `make`, the file's stamp and its SHA-256.
         """
         target = self._root / name
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise WriteError(f"cannot make the folder {target.parent}: {error.strerror}") from error
+        _make_folder(target.parent)
         try:
             if target.parent not in self._tidy:
                 self._tidy.add(target.parent)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from device.errors import UsageError
-from device.values import Refusal
+from device.values import Refusal, counted
 
 DOTS_MAX = 200  # in a line
 SYNTAX_ERRORS_MAX, CONFIG_BYTES_MAX, SHOWN_MAX = 50, 1 << 20, 200
@@ -42,8 +42,12 @@ def listed(mistakes: list[Mistake]) -> list[Mistake]:
     sizes = accumulate(len(json.dumps(asdict(one), indent=2)) for one in mistakes[:LISTED_MAX])
     count = sum(size <= LISTED_BYTES for size in sizes)
     left = len(mistakes) - count
-    more = [Mistake("this file", 0, "", f"has {left} more mistakes", "none")] if left else []
-    return mistakes[:count] + more
+    rest = Mistake("this file", 0, "", f"has {counted(left, 'more mistakes')}", "none")
+    return mistakes[:count] + [rest] * bool(left)
+
+
+# A quote without an end reaches to the line's end.
+_STRINGS = re.compile(r"'[^']*'?|" + r'"(?:[^"\\]|\\.)*"?')
 
 
 def text_of(path: Path, *, or_empty: bool = False) -> str:
@@ -73,9 +77,12 @@ def parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
     """
     lines = text.split("\n")
     mistakes: list[Mistake] = []
-    if any(line.count(".") > DOTS_MAX and line.lstrip()[:1] != "#" for line in lines):
+    for number, line in enumerate(lines, 1):
         # The parser's time grows with the square of the number of parts of a key.
-        return {}, [Mistake("this file", 0, "", "is nested too deeply", "flat values")]
+        dotted = line.count(".") > DOTS_MAX
+        keys = re.split(r"#.*|[=,{}]", _STRINGS.sub("s", line)) if dotted else []
+        if any(key.count(".") > DOTS_MAX for key in keys):
+            return {}, [Mistake("this file", number, "", "is nested too deeply", "flat values")]
     for _ in range(SYNTAX_ERRORS_MAX):
         try:
             return tomllib.loads("\n".join(lines)), mistakes

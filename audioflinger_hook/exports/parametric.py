@@ -253,8 +253,8 @@ def check_duration(duration_s: float, name: str) -> None:
     if duration_s > DURATION_MAX_S:
         streamed = ", ".join(name for name, one in FORMATS.items() if not one.whole)
         raise UsageError(
-            f"the sound of {duration_s:.1f} s is too long for the format {name}, which a player "
-            f"reads as a whole; allowed: {DURATION_MAX_S:g} s; cut it, or choose one of: {streamed}"
+            f"the sound is too long for the format {name}, which a player reads as a whole; "
+            f"allowed: {DURATION_MAX_S:g} s; cut it, or choose one of: {streamed}"
         )
 
 

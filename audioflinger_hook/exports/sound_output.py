@@ -285,8 +285,8 @@ class LeakMeter(WrappedOutput):
         self._hop = 1 << (self.samplerate // 6).bit_length()
         self._held = np.zeros((self.channels, (BATCH_WINDOWS + 1) * self._hop))
         self._windows = sliding_window_view(self._held, 2 * self._hop, axis=1)[:, :: self._hop]
-        self._windowed = np.empty(self._windows.shape)
-        self._spectra = np.empty((self.channels, BATCH_WINDOWS, self._hop + 1), np.complex128)
+        self._windowed = np.empty(self._windows.shape[1:])
+        self._spectra = np.empty((BATCH_WINDOWS, self._hop + 1), np.complex128)
         self._filled = self._hop  # as after silence
         self._power = np.zeros((self.channels, self._hop + 1))
         self._batches = 0
@@ -327,16 +327,18 @@ class LeakMeter(WrappedOutput):
                 self._add_windows(BATCH_WINDOWS)
 
     def _add_windows(self, count: int) -> None:
-        windows, window = self._windows[:, :count], _window(self._hop)
-        if self._batches > LONG_BATCHES and (transform := _scipy_rfft()):
-            # Half the precision costs half the time; its noise is below -130 dB.
-            parts = transform(np.multiply(windows, window, dtype=np.float32)).view(np.float32)
-        else:
-            windowed = np.multiply(windows, window, out=self._windowed[:, :count])
-            parts = np.fft.rfft(windowed, out=self._spectra[:, :count]).view(np.float64)
-        power = np.square(parts, out=parts).sum(axis=1)
-        self._power += power[:, ::2]
-        self._power += power[:, 1::2]
+        window = _window(self._hop)
+        transform = _scipy_rfft() if self._batches > LONG_BATCHES else None
+        for windows, total in zip(self._windows[:, :count], self._power, strict=True):
+            if transform:
+                # Half the precision costs half the time; its noise is below -130 dB.
+                parts = transform(np.multiply(windows, window, dtype=np.float32)).view(np.float32)
+            else:
+                windowed = np.multiply(windows, window, out=self._windowed[:count])
+                parts = np.fft.rfft(windowed, out=self._spectra[:count]).view(np.float64)
+            power = np.square(parts, out=parts).sum(axis=0)
+            total += power[::2]
+            total += power[1::2]
         self._held[:, : self._hop] = self._held[:, -self._hop :]
         self._filled = self._hop
         self._batches += 1

@@ -128,7 +128,8 @@ class Access:
 
     def __init__(self, listen: Listen, key: str, folder: RuntimeFolder) -> None:
         self.key, self._folder = key, folder
-        self.advice = f"this tab has no key; run `{listen.command} --open`"[:123]
+        opens = " --open" if listen.host in LOOPBACK else ""  # a phone's tab opens by its address
+        self.advice = f"this tab has no key; run `{listen.command}{opens}`"[:123]
         names = {*LOOPBACK, listen.host, listen.shown_host}
         self._hosts = {f"{name}:{listen.port}" for name in names}
         self._port = listen.port

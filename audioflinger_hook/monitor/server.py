@@ -207,9 +207,9 @@ class PageServer:
             if request.keys() == {"autostart"}:
                 answer = await asyncio.to_thread(self._start_at_login, request["autostart"])
             else:
-                answer = await self._link.control(request)
                 if isinstance(sync := request.get("sync"), dict):
                     client.tries = sync.get("try_ms") is not None
+                answer = await self._link.control(request)
             answer_by(answer)
             await asyncio.sleep(CONTROL_PAUSE_S)
 

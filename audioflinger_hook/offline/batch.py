@@ -112,10 +112,10 @@ class LocalWorkers(Place):
                 threading.Event().wait(START_S)  # the forkserver may still be dying
                 self._pool = self._new_pool()
         raise InternalError(
-            f"workers cannot be started ({found}); run the command again"
+            f"workers cannot be started ({found!r}); run the command again"
         ) from found
 
-    def lost_worker(self, error: BaseException) -> bool:
+    def lost_worker(self, error: BaseException | None) -> bool:
         """Return whether `error` means that a process died."""
         return isinstance(error, (BrokenExecutor, CancelledError))
 
@@ -184,6 +184,7 @@ def _begin_worker(shares: MutableSequence[float]) -> None:
     _shares = shares
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a fork has the handler of its parent
     repeat_lost_interruptions()
     respect_memory_limit()
 
@@ -292,7 +293,7 @@ def render_files(
         def submit_more() -> None:
             """Submit files until AHEAD per process run or wait; submit none after a worker died."""
             done = [each for each in futures.values() if each.done()]
-            if not any(isinstance(each.exception(), BrokenExecutor) for each in done):
+            if not any(each.cancelled() or pool.lost_worker(each.exception()) for each in done):
                 under_way = len(futures) - len(done)
                 for item in islice(left, AHEAD * workers - under_way):
                     futures[item] = submit(item)
@@ -310,10 +311,10 @@ def render_files(
             try:
                 try:
                     came = result(futures.pop(item), alone=False)
-                except BrokenExecutor:
+                except (BrokenExecutor, CancelledError):
                     # It is unknown which file killed the process: retry each running file alone.
                     came = result(submit(item), alone=True)
-            except BrokenExecutor:
+            except (BrokenExecutor, CancelledError):
                 died = InternalError(f"{sources[item]}: its process died twice, {pool.death()}")
                 came = _failed(sources[item], targets[item], died)
             yield came

@@ -178,7 +178,7 @@ class StatusServer:
                     answer = self._status()
                 else:
                     answer = _error(f"the request is not known; {_KNOWN}")
-            self._set_timeout(client, end_s + REQUEST_TIME_S)
+            self._set_timeout(client, self._clock() + REQUEST_TIME_S)
             client.sendall(answer)
             self._stopping.wait(PAUSE_S)
 

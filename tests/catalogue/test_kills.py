@@ -1,6 +1,7 @@
 import contextlib
 import json
 import os
+import platform
 import random
 import signal
 import subprocess
@@ -107,11 +108,13 @@ def test_a_run_that_is_killed_or_interrupted_loses_nothing_and_the_next_goes_on(
     assert kept.items() <= finished(out).items()
 
 
-def test_only_folders_that_no_process_holds_are_removed(tmp_path):
+def test_only_folders_of_this_computer_that_no_process_holds_are_removed(tmp_path):
     (tmp_path / f"{PREFIX}dead").mkdir()
+    other = PREFIX.replace(platform.node(), "elsewhere") + "alive"  # with a lock that is not seen
+    (tmp_path / other).mkdir()
     with temporary_folder(tmp_path) as held:
         LocalStorage(tmp_path).put("a.wav", lambda path: path.write_bytes(b"a"))
-        assert {path.name for path in tmp_path.iterdir()} == {"a.wav", held.name}
+        assert {path.name for path in tmp_path.iterdir()} == {"a.wav", held.name, other}
 
 
 @pytest.mark.parametrize("workers", [1, 2])

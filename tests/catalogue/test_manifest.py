@@ -12,7 +12,7 @@ import pytest
 from audioflinger_hook.catalogue.manifest import Manifest
 from device.errors import UsageError
 from tests.support.catalogues import library, manifest
-from tests.support.commands import call, start
+from tests.support.commands import call, noise, sound, start
 from tests.support.costs import cost_ffts
 from tools.bench.cost import in_ffts
 
@@ -146,6 +146,15 @@ def test_all_mistakes_are_told_at_once_with_their_lines_and_nothing_is_rendered(
         assert words in text
     assert "hidden" not in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_a_name_that_no_file_can_have_fails_alone(tmp_path):
+    sound(tmp_path / "a.wav", noise(800))
+    path = manifest(tmp_path / "l.jsonl", '{"audio": "a\\ud800.wav"}', '{"audio": "a.wav"}')
+    done = call("catalogue", path, "--out", tmp_path / "out", "--workers", 1)
+    assert (done.code, done.stderr.count("\n")) == (2, 1)
+    assert "fault of cushion" not in done.stderr
+    assert (tmp_path / "out/a.wav").is_file()
 
 
 def test_mistakes_of_csv_are_told_with_their_lines(tmp_path):

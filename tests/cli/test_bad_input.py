@@ -302,6 +302,7 @@ def test_a_fault_of_the_program_is_one_line_and_code_5(source, out, monkeypatch)
     [
         (MemoryError("193 KiB"), 5, "no memory is left (MemoryError)"),
         (ImportError("x.so: failed to map segment from shared object"), 5, "no memory is left"),
+        (RuntimeError("can't start new thread"), 5, "no more threads can start"),
         (FileNotFoundError(2, "No usable temporary directory found in"), 2, "TMPDIR is"),
     ],
 )

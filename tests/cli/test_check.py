@@ -8,6 +8,7 @@ import pytest
 from audioflinger_hook.config.applications import ApplicationRule
 from audioflinger_hook.config.file import load
 from audioflinger_hook.config.profiles import PROFILES
+from audioflinger_hook.config.toml_text import parse
 from device.drive import ActuatorSettings
 from tests.support.commands import call, document, listing, noise, refused, sound
 
@@ -279,6 +280,11 @@ def test_a_rig_is_a_name_or_a_file_beside_the_config(config, tmp_path):
     assert load(config('rig = "consumer"\n')).settings.rig == "consumer"
     settings = load(config(f'rig = "mine.toml"\n{FIRST}rig = "mine.toml"\n')).settings
     assert settings.rig == settings.actuators[0].rig == str(tmp_path / "mine.toml")
+
+
+@pytest.mark.parametrize("line", ["gain_db = -6  # {}", "[live]\ndevice = 'wav:{}'", "# {}"])
+def test_dots_outside_of_keys_are_no_nesting(line):
+    assert parse(line.format("." * 500))[1] == []
 
 
 def test_what_is_not_said_of_an_actuator_is_the_default(config):

@@ -293,6 +293,20 @@ def test_stopping_closes_everything_and_removes_the_socket(tmp_path):
     daemon.close()
 
 
+def test_an_answer_that_takes_seconds_still_arrives(tmp_path):
+    now_s = [0.0]
+
+    def read() -> Status:
+        now_s[0] += 3.0
+        return STATUS
+
+    environ = {"XDG_RUNTIME_DIR": str(tmp_path)}
+    folder = RuntimeFolder(environ, create=True)
+    with status_server.StatusServer(folder, read, lambda: now_s[0]):
+        assert ask_status(DEADLINE_S, time.monotonic, environ) == STATUS
+    folder.close()
+
+
 def test_the_socket_of_a_killed_daemon_is_replaced_and_that_of_a_living_one_is_not(tmp_path):
     environ = {"XDG_RUNTIME_DIR": str(tmp_path)}
     with RuntimeFolder(environ, create=True) as folder, holding(environ, SERVE) as other:
