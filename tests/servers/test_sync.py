@@ -179,6 +179,7 @@ def lags_ms(heard, felt):
     return [1e3 * float(np.min((taps - click_s)[taps > click_s - 0.05])) for click_s in clicks]
 
 
+@pytest.mark.calm
 @pytest.mark.parametrize(
     ("server", "engine"), [("pulse", "python"), ("pipewire", "native")], indirect=["server"]
 )
