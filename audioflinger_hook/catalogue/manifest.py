@@ -29,6 +29,7 @@ from device.values import counted
 SHOWN_MAX = 100  # largest number of listed mistakes; all mistakes are counted
 LINE_MAX = 1 << 20
 PARTITIONS = 64  # to find duplicates, ids are split by hash into this number of groups
+KEPT_ITEMS = 10_000  # about 5 MB
 SPOOLED_BYTES = 1 << 16  # memory of each group; larger groups go to temporary files
 _ENTRY = Struct("<QQ?")
 
@@ -48,7 +49,7 @@ class Mistakes:
 
 
 class Manifest:
-    """The items of a manifest, in order; each call of `items` reads the manifest again.
+    """The items of a manifest, in order. A manifest of over `KEPT_ITEMS` is read at each `items`.
 
     address: path or URL of JSON lines or CSV (.csv), plain or .gz, of a folder or sound; or a glob.
     out: folder of the results; sounds inside this folder are not items.
@@ -66,6 +67,7 @@ class Manifest:
         self._root = ""
         self._shared: set[int] = set()  # hashes of the default ids that several items would have
         self._is_default = False  # whether the latest item has a default id without suffix
+        self._kept: list[Item] | None = None  # by `check`, if they are few
         self._sources = self._kind()
         if listing.is_same(self.address, out):
             raise UsageError(f"--out={scrubbed(out)} is the folder of the sounds; name another")
@@ -82,7 +84,7 @@ class Manifest:
                 return found
 
     def _checked(self) -> tuple[int, Mistakes]:
-        mistakes, count = Mistakes(), 0
+        mistakes, count, kept = Mistakes(), 0, list[Item]()
         with ExitStack() as stack:
             parts = [
                 stack.enter_context(tempfile.SpooledTemporaryFile(SPOOLED_BYTES))
@@ -90,16 +92,22 @@ class Manifest:
             ]
             for item in self.items(mistakes):
                 count += 1
+                if count <= KEPT_ITEMS:
+                    kept.append(item)
                 name = _hash(item.id)
                 parts[name % PARTITIONS].write(_ENTRY.pack(name, item.line, self._is_default))
             for part in parts:
                 self._find_duplicates(part, mistakes)
         if not count and not mistakes.count:
             raise UsageError(f"{scrubbed(self.address)} has no items; give a manifest of sounds")
+        self._kept = kept if count == len(kept) else None
         return count, mistakes
 
     def items(self, mistakes: Mistakes | None = None) -> Iterator[Item]:
         """Yield the valid items; add the mistakes of invalid items to `mistakes`."""
+        if mistakes is None and self._kept is not None:
+            yield from self._kept
+            return
         mistakes = mistakes if mistakes is not None else Mistakes()
         for line, row in self._rows(mistakes):
             item, wrong = self._item(line, row)
