@@ -26,9 +26,7 @@ SLOW_S = 0.05  # ten times a buffer, from one look at a clock to the next
     ("now_step_s", "used_step_s", "bypass_late", "bypassed"),
     [(SLOW_S, 0.0, True, False), (SLOW_S, SLOW_S, True, True), (SLOW_S, SLOW_S, False, False)],
 )
-def test_an_effect_is_passed_by_for_the_time_it_uses_not_for_that_of_others(
-    now_step_s, used_step_s, bypass_late, bypassed
-):
+def test_an_effect_is_passed_by_for_its_own_time(now_step_s, used_step_s, bypass_late, bypassed):
     now, used = itertools.count(), itertools.count()
     clocks = Clocks(lambda: now_step_s * next(now), lambda: used_step_s * next(used))
     tap = PushTap(RATE_HZ, 2)

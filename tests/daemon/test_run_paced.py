@@ -100,7 +100,7 @@ def test_a_file_ends_by_itself_when_its_vibration_has_run_out(tmp_path, folder):
     ],
     ids=["nothing named", "a parameter", "the config's", "the option's"],
 )
-def test_the_profile_is_cinema_unless_one_is_named_and_a_replay_needs_no_name(
+def test_the_profile_is_cinema_unless_named_and_a_replay_needs_no_name(
     tmp_path, folder, text, options, profile, said
 ):
     source, record = sound(tmp_path / "in.wav", noise(RATE // 4)), tmp_path / "rec"

@@ -143,9 +143,7 @@ def test_a_port_in_use_is_one_line_and_exit_code_2(tmp_path):
         assert f"--listen 127.0.0.1:{port + 1}" in second.stderr
 
 
-def test_a_page_that_is_served_already_is_shown_and_one_that_has_ended_is_served_anew(
-    tmp_path, monkeypatch
-):
+def test_a_page_that_is_served_already_is_shown_and_an_ended_one_served_anew(tmp_path, monkeypatch):
     shown, browser = tmp_path / "shown", tmp_path / "browser"
     browser.write_text(f'#!/bin/sh\ncp "${{1#file://}}" {shown}\n')
     browser.chmod(0o700)

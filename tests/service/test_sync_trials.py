@@ -25,9 +25,7 @@ class Done:
     offsets_ms: list[float]
 
 
-def done_by(
-    delay_ms: float, random: np.random.Generator, *, scatter_ms=15.0, wrong=-1, **options
-) -> Done:
+def done_by(delay_ms, random, *, scatter_ms=15.0, wrong=-1, **options) -> Done:
     """A test of a simulated person, whose answer number `wrong` is another than felt."""
     person = sync_trials.SimulatedPerson(delay_ms, scatter_ms, random, **options)
     trials, now_s, offsets_ms = sync_trials.SyncTrials(0.0), 0.0, []

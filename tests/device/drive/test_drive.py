@@ -55,9 +55,7 @@ def test_an_actuator_gets_its_source_bit_for_bit_and_the_level_polarity_and_dela
     protection=st.sampled_from(["off", "on"]),
     again_after=st.integers(1, 150),
 )
-def test_no_byte_depends_on_how_the_stream_is_cut_with_changes_in_it(
-    lengths, delays, gain_db, source, protection, again_after
-):
+def test_no_byte_depends_on_the_cuts(lengths, delays, gain_db, source, protection, again_after):
     care = {"protection": protection}
     settings = [
         [ActuatorSettings((0,), "left", delay_ms=delays[0], **care), RIGHT],

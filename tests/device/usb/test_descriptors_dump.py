@@ -1,4 +1,4 @@
-"""Files that people send, raw or as text of lsusb -v, give the bytes that they were made from."""
+"""Files that people send, raw, as text of lsusb -v or as hex dumps, give their bytes."""
 
 import textwrap
 from contextlib import suppress
@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from device.usb.descriptors import DescriptorError, hex_lines, parse_dump, parse_whole
+from device.usb.descriptors.dump import parse_hex
 from tests.support import usb_builder as usb
 from tests.support.usb_shapes import SHAPES
 
@@ -152,3 +153,109 @@ def test_no_text_whatever_raises_anything_else(changes):
     with suppress(DescriptorError):
         for raw in parse_dump(content):
             parse_whole(raw)
+
+
+BYTES = bytes.fromhex("09026d000301 00a0320904 000000 0101 00 7c23 2f2a 3b")
+
+DUMPS = {
+    "pairs": "09 02 6D 00 03 01 00 A0 32\n09 04 00 00 00 01 01 00\n\n7c 23 2f 2a 3b\n",
+    "xxd of a part": (
+        "00000012: 0902 6d00 0301 00a0 3209 0400 0000 0101  ..m.....2.......\n"
+        "00000022: 007c 232f 2a3b                           .|#/*;\n"
+    ),
+    "od -t x1": (
+        "0000000 09 02 6d 00 03 01 00 a0 32 09 04 00 00 00 01 01\n"
+        "0000020 00 7c 23 2f 2a 3b\n"
+        "0000026\n"
+    ),
+    "od -A x -t x1": (
+        "000000 09 02 6d 00 03 01 00 a0 32 09 04 00 00 00 01 01\n000010 00 7c 23 2f 2a 3b\n000016\n"
+    ),
+    "lsusb": (
+        "  ** UNRECOGNIZED:  09 02 6d 00 03 01 00 a0 32\n"
+        "  ** UNRECOGNIZED:  09 04 00 00 00 01 01 00\n"
+        "  Junk at descriptor end: 7c 23 2f 2a 3b\n"
+    ),
+    "a C array": (
+        "{ 0x09, 0x02, 0x6d, 0x00, 0x03, 0x01, 0x00, 0xa0, 0x32, // configuration: 2 interfaces\n"
+        "  /* interface 0: control\n     on */ 0x09, 0x04, 0x00, 0x00, 0x00, 0x01, 0x01,\n"
+        "  0x00, 0x7C, 0x23, 0x2F, 0x2A, 0x3B }\n"
+    ),
+    "a Python string": r"\x09\x02\x6d\x00\x03\x01\x00\xa0\x32\x09\x04" + r"\x00" * 3 + "\n"
+    r"\x01\x01\x00\x7c\x23\x2f\x2a\x3b",
+    "with comments": (
+        "# the configuration of my DAC\n09 02 6d 00 03 01 00 a0 32 ; self powered\n"
+        "09 04 00 00 00 01 01 00 # control\n7c 23 2f 2a 3b /* what is this? */\n"
+        "/* the | end */\n/* the end"
+    ),
+}
+
+
+@pytest.mark.parametrize("dump", DUMPS)
+def test_a_dump_gives_the_bytes_that_it_shows(dump):
+    assert parse_hex(DUMPS[dump]) == BYTES
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "hex dump: it has no bytes; needed: two hexadecimal digits a byte"),
+        ("# nothing\n", "it has no bytes"),
+        ("09 02\n09 0", "hex dump, line 2: '0' is no byte; needed: two hexadecimal digits a byte"),
+        ("09 0g", "line 1: '0g' is no byte"),
+        ("/* 1\n2 */\nzz", "line 3: 'zz' is no byte"),
+        ("00000000: 0902\n00000010: 0904", "0x10 instead of 0x2; bytes before it are missing"),
+        ("00000000: 0902\n00000001: 0904", "bytes before it are too many"),
+        ("00000000  09 02\n*\n00000010", "line 2: '*' marks omitted lines"),
+        ("00000000  09 02\n00000010", "line 2: the address is 0x10 instead of 0x2"),
+        ("0000000 0209 006d", "shows swapped bytes; use od -t x1"),
+        ("0000009 02 03", "line 1: '0000009' is not an octal address"),
+    ],
+)
+def test_what_is_no_dump_is_refused_with_its_line(text, reason):
+    with pytest.raises(DescriptorError) as caught:
+        parse_hex(text)
+    assert reason in str(caught.value)
+
+
+def rows(raw):
+    for at in range(0, len(raw), 16):
+        row = raw[at : at + 16]
+        yield at, row, "".join(chr(byte) if 32 <= byte < 127 else "." for byte in row)
+
+
+def xxd(raw):
+    return "\n".join(f"{at:08x}: {row.hex(' ', -2):<39}  {shown}" for at, row, shown in rows(raw))
+
+
+def hexdump(raw):
+    """As `hexdump -C` shows it."""
+    halves = ((at, row[:8].hex(" "), row[8:].hex(" "), shown) for at, row, shown in rows(raw))
+    lines = (f"{at:08x}  {left:<23}  {right:<23}  |{shown}|\n" for at, left, right, shown in halves)
+    return "".join(lines) + f"{len(raw):08x}"
+
+
+@given(st.binary(min_size=1, max_size=80))
+def test_any_bytes_come_back_from_any_dump(raw):
+    for text in (xxd(raw), hexdump(raw), raw.hex(), ", ".join(f"0x{byte:02x}" for byte in raw)):
+        assert parse_hex(text) == raw
+
+
+def said_of(text):
+    """The error, "" where there are bytes."""
+    try:
+        assert parse_hex(text)
+    except DescriptorError as error:
+        return str(error)
+    return ""
+
+
+@given(st.text(st.sampled_from("09aAfF gx:;#/*|{},\\\n\t0") | st.characters(), max_size=60))
+def test_no_text_gives_anything_but_bytes_or_an_error_of_ours(text):
+    assert said_of(text)[:8] in ("", "hex dump")
+
+
+@pytest.mark.sweep
+@pytest.mark.parametrize("part", ["z", "/*", "0", "# ", "*/", "0x", "a:", " ", "\\x"])
+def test_a_line_of_a_million_signs_takes_no_longer_than_a_line(part):
+    assert len(said_of(part * (1_000_000 // len(part)))) < 300
