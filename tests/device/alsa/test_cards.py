@@ -97,7 +97,9 @@ def test_an_input_is_found_by_its_cards_name_and_offers_its_own_formats(cards, t
     assert alsa.why_blocked(alsa.find_playback("DAC", cards.root), tmp_path) is None
 
 
-def test_a_usb_card_tells_only_its_formats_of_playback_and_a_range_of_rates_is_one():
+def test_a_usb_card_alone_tells_its_formats_of_playback_and_a_range_of_rates_is_one(cards):
+    assert read_usb_stream(alsa.find_playback("PCH", cards.root)) is None
+    assert read_usb_stream(alsa.find_playback("DAC", cards.root)) == parse_usb_stream(ASYNC)
     first, second, third = parse_usb_stream(ASYNC).formats
     rates = Rates((44_100, 48_000, 88_200, 96_000, 176_400, 192_000))
     assert first == UsbFormat(1, 1, ("S16_LE",), 2, rates, 16, "ASYNC")
@@ -133,14 +135,8 @@ def test_it_is_compared_with_the_rate_that_the_card_was_opened_with(tmp_path):
     playback = alsa.find_playback("1", tmp_path)
     assert measure_rate(playback) is None
     (folder / "pcm0p/sub0/hw_params").write_text(HW_PARAMS.format("S32_LE", 2, 48_000))
-    found = measure_rate(playback)
-    assert found is not None
+    found: Any = measure_rate(playback)
     assert (found.nominal_hz, round(found.ppm, 2)) == (48_000, 40.69)
-
-
-def test_only_usb_cards_have_such_a_stream(cards):
-    assert read_usb_stream(alsa.find_playback("PCH", cards.root)) is None
-    assert read_usb_stream(alsa.find_playback("DAC", cards.root)) == parse_usb_stream(ASYNC)
 
 
 known = st.sampled_from(RUNNING.splitlines() + ADAPTIVE.splitlines())
@@ -158,10 +154,12 @@ def test_a_free_card_has_no_owner_and_a_taken_one_is_refused(cards, tmp_path):
     assert alsa.find_owner(playback) is None
     assert alsa.why_blocked(playback, tmp_path) is None
     cards.use(31, os.getpid())
-    found = alsa.find_owner(playback)
-    assert found is not None
+    found: Any = alsa.find_owner(playback)
     assert (found.process, bool(found.name)) == (os.getpid(), True)
     assert f"hw:DAC,0 is in use by {found}" in (alsa.why_blocked(playback, tmp_path) or "")
+    (cards.root / "card31/pcm0p/sub1").mkdir()
+    (cards.root / "card31/pcm0p/sub1/status").write_text("closed\n")
+    assert alsa.find_owner(playback) is None  # a substream is free
 
 
 def test_the_owner_of_a_card_is_the_process_of_the_thread_that_opened_it(cards, tmp_path):
@@ -174,13 +172,6 @@ def test_the_owner_of_a_card_is_the_process_of_the_thread_that_opened_it(cards, 
     assert alsa.find_owner(playback, tmp_path) == alsa.Owner(40, "player")
     cards.use(31, 42)  # a thread that has ended since
     assert str(alsa.find_owner(playback, tmp_path)) == "another program (process 42)"
-
-
-def test_a_card_with_a_free_substream_is_free(cards):
-    (cards.root / "card31/pcm0p/sub1").mkdir()
-    (cards.root / "card31/pcm0p/sub1/status").write_text("closed\n")
-    cards.use(31, 1)
-    assert alsa.find_owner(alsa.find_playback("DAC", cards.root)) is None
 
 
 def test_a_device_file_that_may_not_be_opened_is_told(cards, tmp_path, monkeypatch):
@@ -269,14 +260,11 @@ def test_there_are_as_many_channels_as_actuators_and_few_more(there, actuators, 
     assert choose_setup(some, 48_000, actuators, least).channels == chosen
 
 
-def test_the_rate_comes_before_the_resolution_and_a_format_that_is_not_there_is_left_out():
+def test_the_rate_comes_before_the_resolution_and_what_is_not_there_or_not_told_is_left_out():
     some = [offer((S16,), 2, Rates((48_000,)), 16), offer((S32,), 2, Rates((96_000,)), 32)]
     assert choose_setup(some, 48_000, 1) == CardSetup(S16, 48_000, 2)
     assert choose_setup(ASSUMED, 48_000, 1) == CardSetup(S32, 48_000, 2)
     assert choose_setup(ASSUMED, 48_000, 1, without={S32}) == CardSetup(S16, 48_000, 2)
-
-
-def test_what_usb_cards_tell_is_what_they_offer():
     assert choose_setup(parse_usb_stream(ASYNC).formats, 48_000, 2) == CardSetup(S32, 48_000, 2)
     assert choose_setup(parse_usb_stream(ADAPTIVE).formats, 48_000, 2) == CardSetup(S24, 48_000, 8)
 

@@ -38,7 +38,6 @@ def residual(p, damping, detuning=0.0):
 
 
 def worst_db(p, damping, detunings=(-0.1, 0.1)):
-    """The largest residual of some detunings, in dB."""
     return max(residual(p, damping, detuning).residual_db for detuning in detunings)
 
 
@@ -239,9 +238,9 @@ def test_damping_makes_up_for_what_it_takes_and_says_what_remains():
     # Bursts at the resonance, quiet enough for the make-up.
     burst = np.append(tone(90.0, 0.05, RATE, 0.1), np.zeros(RATE // 5))
     vibration = np.tile(burst, 4).astype(np.float32)[:, None]
-    damped = RigDriver(PAPER, RATE, damping=DAMPING)
-    assert damped.latency_frames == RigDriver(PAPER, RATE).latency_frames
-    assert damped.strength_db is None
+    damped: Any = RigDriver(PAPER, RATE, damping=DAMPING)
+    latency_frames = RigDriver(PAPER, RATE).latency_frames
+    assert (damped.latency_frames, damped.strength_db) == (latency_frames, None)
     out = damped.through(vibration)
     assert 10.0 < damped.makeup_db < 20.0
     # Within a burst as strong; what rang on after it is missing: 6 dB of the energy.
@@ -249,11 +248,9 @@ def test_damping_makes_up_for_what_it_takes_and_says_what_remains():
     assert -1.0 < strength_db < 0.5
     # Weighted by Wk at the seat, which counts the lower frequencies of a burst's edges more.
     assert damped.strength_db == pytest.approx(strength_db, abs=1.5)
-    loud = RigDriver(PAPER, RATE, damping=DAMPING)
+    loud: Any = RigDriver(PAPER, RATE, damping=DAMPING)
     loud.through(10.0 * vibration)
     assert loud.protection().least_gain < 0.6
-    assert loud.strength_db is not None
-    assert damped.strength_db is not None
     assert loud.strength_db < damped.strength_db - 3.0
     plain = RigDriver(PAPER, RATE)
     plain.through(vibration)
@@ -263,11 +260,10 @@ def test_damping_makes_up_for_what_it_takes_and_says_what_remains():
 @pytest.mark.parametrize("rig", [PAPER, CONSUMER])
 def test_each_rig_has_its_own_damping_chosen_once(rig):
     source = rig.amplifier.source_impedance_ohm
-    found = damping_for(rig.actuator, source)
-    assert damping_for(rig.actuator, source) is found
-    assert found.ringing
+    found: Any = damping_for(rig.actuator, source)
     # The coil's inductance raises it by a few percent.
     assert found.ringing.frequency_hz == pytest.approx(rig.actuator.resonance_hz, rel=0.1)
+    assert damping_for(rig.actuator, source) is found
 
 
 def test_after_reset_it_is_as_new():

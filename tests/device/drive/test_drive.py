@@ -160,8 +160,7 @@ def test_each_has_the_rig_and_the_care_of_its_own():
 def test_protection_sees_what_is_left_after_the_level(gain_db, is_limited):
     drive = Drive([ActuatorSettings((0,), rig="consumer", protection="on", gain_db=gain_db)], RATE)
     drive.process(tone(45.0, 0.5, RATE).astype(np.float32)[:, None])
-    (processor,) = drive.processors
-    assert processor is not None
+    processor: Any = drive.processors[0]
     assert (processor.protection().least_gain < 1.0) == is_limited
 
 

@@ -100,7 +100,6 @@ def refused(text):
 
 
 def changed(name, value):
-    """The plain rig with one value replaced."""
     lines = [f"{name} = {value}" if line.startswith(name) else line for line in PLAIN.split("\n")]
     return "\n".join(lines)
 

@@ -156,17 +156,13 @@ def test_a_sinks_delay_is_the_sum_of_cycles_frames_and_time_of_its_latest_port()
     assert graph.declared_s("dac", 960, 48_000) == 0.0
     assert graph.declared_s("nowhere", 960, 48_000) is None
     assert declaring(latency("Input", minNs=-5e7, maxNs=-5e7)).declared_s("desk", 1, 1) == -0.05
-
-
-def test_another_latency_is_no_change_of_the_wiring():
     graph, left = declaring(), port(11, 10, "playback_FL")
     left["info"]["params"] = {"Latency": [latency("Input", minNs=1e6, maxNs=1e6)]}
-    assert not graph.apply([left])
+    assert not graph.apply([left])  # no change of the wiring
     assert graph.declared_s("desk", 1, 1) == 1e-3
 
 
 def test_of_all_parameters_only_the_latencies_are_read():
-    """As `pw-dump` prints them."""
     one = port(11, 10, "playback_FL")
     others = {"EnumFormat": [{"mediaType": "audio"}], "ProcessLatency": []}
     one["info"]["params"] = {"Latency": [latency("Input", maxNs=5)], **others}
@@ -287,11 +283,6 @@ R   53   1024  48000  61.7us  22.8us  0.00  0.00    4     F32P 1 48000  + a prog
 NAMES = ("cushion-9-1.tap", "cushion-9-1.vibration")
 
 
-def test_the_latest_listing_counts_and_other_nodes_do_not():
-    assert errors_in(LISTING, NAMES) == dict(zip(NAMES, (18, 2), strict=True))
-    assert errors_in("", NAMES) == {}
-
-
 def looked(errors: NodeErrors, *times_s: float, names: tuple[str, ...] = NAMES) -> None:
     for now_s in times_s:
         errors.update(names, now_s)
@@ -314,6 +305,8 @@ def pw_top(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], N
 
 
 def test_each_stream_has_its_count_and_that_of_a_chain_that_has_gone_is_kept(pw_top):
+    assert errors_in(LISTING, NAMES) == dict(zip(NAMES, (18, 2), strict=True))
+    assert errors_in("", NAMES) == {}
     errors = NodeErrors()
     assert errors.count(".tap") is None
     pw_top(f"cat <<'END'\n{LISTING}END")

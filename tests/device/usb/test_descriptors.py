@@ -229,9 +229,7 @@ FORMAT_AT = PART_AT + len(GENERAL_1)
 RATES_AT = FORMAT_AT + 7
 DATA_AT = FORMAT_AT + len(PCM_1)
 
-ALL, NO_PATH = (2, (1, 3)), (2, ())
-"""Channels and path of WHOLE; of one whose terminals do not meet."""
-
+ALL, NO_PATH = (2, (1, 3)), (2, ())  # of WHOLE; of one whose terminals do not meet
 LOOP = stereo_1(usb.selector_1(5, [6]), usb.selector_1(6, [5]))
 UNKNOWN = WHOLE.replace(bytes([1, 2, 0, 0, 7, 36]), bytes([1, 2, 0x44, 0, 7, 36]))
 TWICE = usb.configuration(*[usb.interface(4, 2, (255, 0, 0))] * 2)
