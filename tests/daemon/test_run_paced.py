@@ -42,7 +42,6 @@ def run(env: dict[str, str], *arguments: object, **options: object) -> commands.
 
 
 def status(env: dict[str, str]) -> dict[str, Any]:
-    """What the daemon says of itself, empty while it does not answer."""
     done = cushion("status", "--json", env=env)
     return json.loads(done.stdout) if done.code == 0 else {}
 
@@ -55,7 +54,6 @@ def aligned(whole: Float32Array, wanted: Float32Array) -> Float32Array:
 
 
 def rendered(source: Path, out: Path) -> commands.Done:
-    """Render a file with the default profile of `cushion run`."""
     return call("render", source, out, "--profile", LIVE_DEFAULT)
 
 
