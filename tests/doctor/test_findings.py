@@ -78,7 +78,6 @@ def names(facts: Facts) -> list[str]:
 
 
 def changed(**values: Any) -> Facts:
-    """The healthy set-up with other facts."""
     return replace(HEALTHY, **values)
 
 

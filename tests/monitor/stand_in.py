@@ -55,7 +55,6 @@ class Settings:
 
 @contextmanager
 def daemon_socket(base: Path, live: Settings | None = None) -> Iterator[Settings]:
-    """A daemon's socket in the runtime folder `base`."""
     live = live or Settings()
     with (
         RuntimeFolder({"XDG_RUNTIME_DIR": str(base)}, create=True) as folder,

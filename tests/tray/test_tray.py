@@ -71,7 +71,6 @@ async def shown():
 
 
 async def holds(condition):
-    """Wait until the condition holds."""
     async with asyncio.timeout(20.0):
         while not condition():
             await asyncio.sleep(0.01)

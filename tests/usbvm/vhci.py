@@ -23,8 +23,7 @@ FULL_SPEED, HIGH_SPEED = 2, 3
 SUBMIT, UNLINK, SUBMITTED, UNLINKED = 1, 2, 3, 4
 IN = 1
 HEADER = struct.Struct(">5I")
-BEHIND_S = 0.25
-"""A stream whose clock is further behind has stood still, and begins anew."""
+BEHIND_S = 0.25  # a stream whose clock is further behind has stood still, and begins anew
 
 
 class VirtualDac:
