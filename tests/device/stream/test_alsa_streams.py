@@ -93,23 +93,19 @@ def test_nothing_but_silence_goes_out_until_the_stream_is_audible(pcm, tmp_path)
     assert not any((tmp_path / "card.raw").read_bytes())
 
 
-def test_a_card_that_is_not_there_is_an_error_that_says_what_may_be_wrong(pcm):
+def test_of_a_missing_card_it_is_said_what_may_be_wrong_and_of_a_missing_plugin_no_device_is_blamed(
+    pcm, monkeypatch
+):
+    assert CardDevice(3, 1).definition == "type hw card 3 device 1"  # with nothing in between
+    assert ServerDevice("a").definition == 'type pulse device "a"'
     pcm.target = CardDevice(31, 2)
     words = "cannot open hw:31,2 for playback.*2 channels at 48000 Hz in S16_LE.*card was unplugged"
     with pytest.raises(LostError, match=words):
         PlaybackStream(pcm, RATE, 2, lambda *_: None, sample_format=SampleFormat.S16)
-
-
-def test_what_is_missing_is_named_and_not_the_device_blamed(pcm, monkeypatch):
     pcm.target = ServerDevice("desktop", "unix:/nowhere")
     monkeypatch.setattr(portaudio, "missing_plugin", lambda: "install its plugin")
     with pytest.raises(NotFoundError, match=r"^install its plugin$"):
         PlaybackStream(pcm, RATE, 2, lambda *_: None)
-
-
-def test_a_card_is_opened_without_anything_in_between():
-    assert CardDevice(3, 1).definition == "type hw card 3 device 1"
-    assert ServerDevice("a").definition == 'type pulse device "a"'
 
 
 integers = pytest.mark.parametrize("sample_format", [*FORMATS][1:])

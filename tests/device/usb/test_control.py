@@ -60,14 +60,6 @@ def rig(uac: int, **options: Any) -> tuple[UsbControl, SoftwareDac]:
 
 
 @both
-def test_the_volume_is_read_in_db_with_its_range(uac):
-    control, _ = rig(uac)
-    for channel in control.volume_channels:
-        assert control.volume_db(channel) == -8.0
-        assert control.volume_range(channel) == VolumeRange(-64.0, 0.0, 0.5)
-
-
-@both
 @pytest.mark.parametrize(
     ("options", "wanted_db", "limit_db", "set_db"),
     [
@@ -141,8 +133,11 @@ def test_a_device_that_goes_between_set_and_read_back_was_pulled_out(uac):
 
 
 @both
-def test_mute_and_rate_are_read_and_set(uac):
+def test_volume_with_its_range_mute_and_rate_are_read_and_set(uac):
     control, dac = rig(uac)
+    for channel in control.volume_channels:
+        assert control.volume_db(channel) == -8.0
+        assert control.volume_range(channel) == VolumeRange(-64.0, 0.0, 0.5)
     for channel in control.mute_channels:
         assert not control.muted(channel)
         control.set_muted(channel, True)
