@@ -6,7 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.config import profiles
+from audioflinger_hook.config import fits, profiles
 from audioflinger_hook.config.applications import ApplicationRule, rule_refusals
 from audioflinger_hook.config.edits import Edits, apply_edits
 from audioflinger_hook.config.schema import (
@@ -158,6 +158,10 @@ class _Reading:
             for name, refusal in self._contradictions(owner, self.profile).items():
                 section = next(k.section for k in KEYS if (k.owner, k.field) == (owner, name))
                 self._add(f"{section}.{name}" if section else name, refusal)
+        chosen = self.accepted[TransformParameters]
+        is_chosen = bool(chosen.get("fit")) or (TransformParameters, "fit") in self.refused
+        if chosen.get("strength") == "fit" and not is_chosen and not fits.names():
+            self._add("transform.strength", Refusal("needs a fit", "flat, felt, rig; " + fits.MAKE))
         for number, rule in enumerate(self.arrays[APPLICATION], 1):
             profile = rule.get("profile") or self.profile
             found = self._contradictions(TransformParameters, profile)

@@ -33,9 +33,11 @@ from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.page_frames import frame_of
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
+from audioflinger_hook.daemon.trial_session import play_trials
 from audioflinger_hook.service.install import own_command
 from audioflinger_hook.service.one_line import one_line
 from audioflinger_hook.service.request_queue import RequestQueue
+from audioflinger_hook.service.status_server import Talk
 from device.errors import CushionError, UsageError
 from device.units import db_to_amplitude
 from device.values import Described
@@ -100,6 +102,10 @@ class LiveControl:
             self._waiting.drop(answer)
             return {"error": f"the daemon has not answered within {ANSWER_S:g} s; try again"}
         return answers[0]
+
+    def play_trials(self, talk: Talk) -> None:
+        """Play the trials of a client until it leaves."""
+        play_trials(self._supervisor.trials, talk)
 
     def rest_s(self, now_s: float) -> float:
         """Return the time until `work` can carry out the next waiting request; inf for none."""

@@ -10,7 +10,7 @@ from contextlib import ExitStack, suppress
 from functools import partial
 from http import HTTPStatus
 from importlib.resources import files
-from typing import Any
+from typing import Any, Protocol
 
 from prometheus_client import CONTENT_TYPE_LATEST
 from websockets.asyncio.server import ServerConnection, serve
@@ -66,10 +66,32 @@ SECURITY = {
 }
 
 
+TRIAL_FILES = {  # of a page for trials, which replaces the live page
+    "/trial": ("trial.html", "text/html; charset=utf-8"),
+    "/trial.css": ("trial.css", "text/css; charset=utf-8"),
+    **{f"/{name}.js": (f"{name}.js", FILES["/page.js"][1]) for name in ("trial", "jspsych")},
+    **{path: FILES[path] for path in ("/style.css", "/icon.svg", "/connection.js", "/elements.js")},
+}
+
+
+class TrialPage(Protocol):
+    """Asks a person questions on the page. The event loop's thread calls the methods."""
+
+    def joined(self) -> None:
+        """Note that a page has connected."""
+
+    def left(self) -> None:
+        """Note that a page has gone."""
+
+    def take(self, said: object) -> dict[str, Any]:
+        """Take what a page says, and return what it is told."""
+
+
 class PageServer:
     """Serves the page until `run` is cancelled. Only the event loop's thread may use it.
 
     folder: has the key and the codes. clock: gives the time of day.
+    trial: asks questions on the page `/trial`; None for the live page.
     pending: connections that have not shown the key, the oldest first.
     """
 
@@ -80,7 +102,9 @@ class PageServer:
         rate_hz: float,
         clock: Callable[[], float],
         environ: Mapping[str, str],
+        trial: TrialPage | None = None,
     ) -> None:
+        self._trial = trial
         self._listen, self._folder, self._key = listen, folder, load_key(folder)
         self._rate_hz, self._clock, self._environ = rate_hz, clock, environ
         self._clients = Clients()
@@ -88,8 +112,13 @@ class PageServer:
         self._read_s = 0.0  # time at which the messages so far are read at MESSAGES_PER_S
         static = files("audioflinger_hook.monitor").joinpath("static")
         self._files = {
-            path: (static.joinpath(name).read_bytes(), kind) for path, (name, kind) in FILES.items()
+            path: (static.joinpath(name).read_bytes(), kind)
+            for path, (name, kind) in (TRIAL_FILES if trial else FILES).items()
         }
+
+    def show_trial(self, screen: dict[str, Any]) -> None:
+        """Show a screen of a trial on all pages, and on pages that connect later."""
+        self._clients.tell("trial", screen)
 
     async def run(self, on_ready: Callable[[Listen], None]) -> None:
         """Serve the page; call `on_ready` with its address.
@@ -123,6 +152,8 @@ class PageServer:
             logger=logger,
         ):
             on_ready(listen)
+            if self._trial is not None:
+                await asyncio.get_running_loop().create_future()
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._link.run())
                 tasks.create_task(frames.run())
@@ -162,6 +193,8 @@ class PageServer:
         assert isinstance(connection, _Connection)
         self.pending.pop(connection, None)
         client = self._clients.add()
+        if self._trial is not None:
+            self._trial.joined()
         client.answer(json.dumps({"key": self._access.key}))
         sending = asyncio.ensure_future(client.send_all(connection.send))
         asking = asyncio.ensure_future(self._carry_out(client))
@@ -179,6 +212,8 @@ class PageServer:
             pass
         finally:
             self._clients.remove(client)
+            if self._trial is not None:
+                self._trial.left()
             sending.cancel()
             with suppress(asyncio.CancelledError, ConnectionClosed):
                 await sending
@@ -205,7 +240,9 @@ class PageServer:
         """Carry out the waiting requests of a browser."""
         while waiting := client.requests.take():
             request, answer_by = waiting
-            if request.keys() == {"autostart"}:
+            if self._trial is not None:
+                answer = self._trial.take(request)
+            elif request.keys() == {"autostart"}:
                 answer = await asyncio.to_thread(self._start_at_login, request["autostart"])
             else:
                 answer = await self._link.control(request)

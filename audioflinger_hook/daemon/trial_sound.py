@@ -1,0 +1,140 @@
+"""The frames of a trial, and the levels that the chain reports while it plays."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from audioflinger_hook.daemon.native.chain import Chain
+from device.drive.exposure import DoseSums, Exposure
+from device.errors import UsageError
+from device.units import Float32Array, amplitude_to_db
+
+RATE_HZ = 48_000
+COLUMNS = 3  # of a trial's file: left and right sound, vibration
+CHANNELS = 4  # of the stream; the last one is silent
+FADE_S, LONGEST_S = 0.05, 120.0
+
+SILENT = 10.0**-7.5  # -150 dBFS
+RMS_S = 0.3  # time constant of the core's mean square; its peaks fall by 20 dB/s
+
+
+class TrialSound:
+    """A trial that the audio thread plays; another thread sets `stops`, which begins a fade.
+
+    frames: (frames, COLUMNS) at RATE_HZ. lead_s: how much later the vibration begins than the
+    sound. began_s: when the stream plays its first frame. played: number of frames until now.
+    """
+
+    def __init__(self, frames: Float32Array, lead_s: float) -> None:
+        shift, faded = round(lead_s * RATE_HZ), frames * _fades(len(frames))[:, None]
+        self._frames = np.zeros((len(frames) + abs(shift), CHANNELS), np.float32)
+        for columns, begin in ((slice(0, 2), max(0, -shift)), (slice(2, 3), max(0, shift))):
+            self._frames[begin : begin + len(frames), columns] = faded[:, columns]
+        self.began_s: float | None = None
+        self._ends_s = math.inf
+        self.played, self.stops, self._fades_out = 0, False, False
+
+    @staticmethod
+    def read(path: Path) -> Float32Array:
+        """Return the frames of a .npy file. UsageError: it is not one, or of another form."""
+        try:
+            frames = np.load(path, allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise UsageError(f"{path.name} is not a trial that can be played ({error})") from None
+        shape, most = np.shape(frames), round(LONGEST_S * RATE_HZ)
+        is_right = frames.dtype == np.float32 and len(shape) == 2 and shape[1] == COLUMNS
+        if not is_right or not 1 <= shape[0] <= most or not np.all(np.abs(frames) <= 1.0):
+            raise UsageError(
+                f"{path.name} is not a trial: float32 within ±1, 1 to {most} frames of {COLUMNS} "
+                "columns"
+            )
+        return np.asarray(frames)
+
+    def fill(self, out: Float32Array, plays_s: float) -> None:
+        """Write the next frames. plays_s: when the first of them is played. Audio thread only."""
+        if self.began_s is None:
+            self.began_s = plays_s
+        if self.stops and not self._fades_out:
+            self._fades_out, fade = True, round(FADE_S * RATE_HZ)
+            rest = self._frames[self.played : self.played + fade]
+            window = _fades(2 * fade)[fade:]
+            self._frames = np.concatenate(
+                [self._frames[: self.played], rest * window[: len(rest), None]]
+            )
+        part = self._frames[self.played : self.played + len(out)]
+        out[: len(part)] = part
+        self.played += len(part)
+        if len(part) < len(out):
+            self._ends_s = min(self._ends_s, plays_s + len(part) / RATE_HZ)
+
+    def is_over(self, now_s: float) -> bool:
+        """Whether the last frame has been played at this time."""
+        return now_s > self._ends_s
+
+
+def _fades(frames: int) -> Float32Array:
+    """Return a window with raised-cosine ends of FADE_S, or of half of the length if shorter."""
+    length = min(round(FADE_S * RATE_HZ), frames // 2)
+    window = np.ones(frames, np.float32)
+    window[:length] = 0.5 - 0.5 * np.cos(np.pi * (np.arange(length) + 0.5) / max(1, length))
+    window[frames - length :] = window[:length][::-1]
+    return window
+
+
+class TrialMeter:
+    """Levels of the actuators' signals, protection and dose of one trial, from its beginning on."""
+
+    def __init__(self, chain: Chain) -> None:
+        self._chain, self._page = chain, chain.page
+        self._frames, self._before = self._page.frames, self._levels()
+        self._energy_s = np.zeros(len(self._before))
+        self._bound = float(np.max(self._before[:, 0], initial=0.0))
+        self._peak, self._gain = 0.0, 1.0
+        self._doses, self._limited = self._dose_sums(), self._limited_blocks()
+
+    def look(self) -> None:
+        """Read the levels; call it often while the trial plays."""
+        frames, now = self._page.frames, self._levels()
+        seconds = (frames - self._frames) / self._chain.plan.samplerate
+        if seconds <= 0.0:
+            return
+        # a peak that has only fallen, by 20 dB/s, is one of before
+        is_new = now[:, 0] > 1.001 * self._before[:, 0] * 10.0**-seconds
+        self._peak = max(self._peak, float(np.max(now[is_new, 0], initial=0.0)))
+        kept = math.exp(-seconds / RMS_S)
+        self._energy_s += seconds * (now[:, 1] - kept * self._before[:, 1]) / (1.0 - kept)
+        self._gain = min([self._gain, *(rig.protection().gain for rig in self._chain.rigs if rig)])
+        self._frames, self._before = frames, now
+
+    def result(self, seconds: float) -> dict[str, Any]:
+        """Return peak and r.m.s. level in dBFS, protection's attenuation, and exposure.
+
+        seconds: duration of the trial.
+        """
+        self.look()
+        energy_s = float(np.max(self._energy_s, initial=0.0))
+        rms = math.sqrt(max(0.0, energy_s) / max(seconds, 1.0 / RATE_HZ))
+        both = zip(self._dose_sums(), self._doses, strict=True)
+        doses = [now.plus(then, -1.0) for now, then in both]
+        exposure = Exposure.of(doses) if doses else None
+        return {
+            "seconds": seconds,
+            "peak_dbfs": amplitude_to_db(max(self._peak or self._bound, SILENT)),
+            "level_dbfs": amplitude_to_db(max(rms, SILENT)),
+            "protection_db": abs(amplitude_to_db(max(self._gain, SILENT))),
+            "limited_blocks": self._limited_blocks() - self._limited,
+            "a8_m_s2": exposure and exposure.a8_m_s2,
+            "vdv_m_s175": exposure and exposure.vdv,
+        }
+
+    def _levels(self) -> Any:
+        found = self._page.readings.actuators[: len(self._chain.plan.actuators)]
+        return np.array([(one.level.peak, one.level.mean_square) for one in found])
+
+    def _dose_sums(self) -> list[DoseSums]:
+        return [one.dose for rig in self._chain.rigs if rig for one in rig.safety_states()]
+
+    def _limited_blocks(self) -> int:
+        return sum(rig.protection().limited_blocks for rig in self._chain.rigs if rig)

@@ -1,0 +1,99 @@
+"""A simulated person with a known curve, who answers in place of a person."""
+
+import json
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+from audioflinger_hook.fit.curve import REFERENCE_HZ
+from audioflinger_hook.fit.session import FIRST, SECOND, Trial
+from device.errors import UsageError
+from device.values import Described, Description, Number, Refusal, no_such
+
+HZ, DB = Number("frequency", 10.0, 1_000.0, "Hz"), Number("sensitivity", -100.0, 100.0, "dB")
+EXAMPLE = '{"curve_db": {"25": -6.0, "70": 0.0, "200": 4.0}, "jnd_db": 1.5}'
+
+
+@dataclass(frozen=True)
+class Curve(Description):
+    """A table of sensitivities in dB, with frequencies in Hz as keys."""
+
+    @property
+    def allowed(self) -> str:
+        """The form, and both ranges."""
+        return f'{{"HZ": DB, ...}}, frequencies of {HZ.allowed}, {DB.allowed}'
+
+    def refuse(self, value: object) -> Refusal | None:
+        """Refuse an empty table, and name each frequency and sensitivity that is out of range."""
+        if not isinstance(value, dict) or not value:
+            return Refusal("is not a table of frequencies", self.allowed)
+        found, hz = [], [_number(text) for text in value]
+        for text, one, level_db in zip(value, hz, value.values(), strict=True):
+            what = f"has {json.dumps(text)[:40]}: {json.dumps(level_db)[:40]}, whose"
+            found += [f"{what} frequency {no.wrong}" for no in [HZ.refuse(one)] if no]
+            found += [f"{what} sensitivity {no.wrong}" for no in [DB.refuse(level_db)] if no]
+        found += ["has a frequency twice"] if len({*hz}) < len(hz) else []
+        return Refusal(", ".join(found), self.allowed) if found else None
+
+    def json_schema(self) -> dict[str, Any]:
+        """Return the schema of the table."""
+        return {"type": "object", "additionalProperties": DB.json_schema()}
+
+    def typed(self, value: Any) -> Any:
+        """Return the table with ascending frequencies as numbers."""
+        return dict(sorted((float(hz), float(level_db)) for hz, level_db in value.items()))
+
+
+@dataclass(frozen=True)
+class SimulatedSitter(Described):
+    """A simulated person, interpolated in log frequency; implements `Sitter`.
+
+    An answer depends on `seed` and on its own trial only. UsageError: see `Described`.
+    """
+
+    curve_db: Annotated[Mapping[Any, float], Curve("sensitivity in dB by frequency in Hz")]
+    jnd_db: Annotated[
+        float, Number("standard deviation of the decision noise", 1e-3, 1e6, "dB")
+    ] = 1.5
+    lapse: Annotated[float, Number("share of answers that are guessed", 0.0, 1.0)] = 0.0
+    seed: Annotated[int, Number("seed of noise and guesses", 0, 2**53, whole=True)] = 0
+    headroom_db = np.inf
+
+    def answer(self, trial: Trial) -> dict[str, Any]:
+        """Return the answer to a trial."""
+        octaves, level_db = np.log2([*self.curve_db]), [*self.curve_db.values()]
+        test, reference = np.interp(np.log2([trial.hz, REFERENCE_HZ]), octaves, level_db)
+        random = np.random.default_rng([self.seed, trial.number])
+        stronger = test - reference + trial.level_db + self.jnd_db * random.normal() > 0.0
+        if random.random() < self.lapse:
+            stronger = random.random() < 0.5
+        return {"answer": FIRST if stronger == trial.test_first else SECOND}
+
+
+def read_sitter(path: Path) -> SimulatedSitter:
+    """Read a file such as EXAMPLE. UsageError: it has mistakes; the message names all of them."""
+    try:
+        known = json.loads(path.read_text("utf-8"))
+        if not isinstance(known, dict):
+            raise ValueError("no table")
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror}; allowed: {EXAMPLE}") from None
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"{path} is no JSON of a sitter ({error}); allowed: {EXAMPLE}") from None
+    known_keys = SimulatedSitter.DESCRIPTIONS
+    wrong = [no_such("key", key[:40], known_keys, "") for key in known if key not in known_keys]
+    refused = SimulatedSitter.refusals(known)
+    wrong += [f"{name} {refusal}" for name, refusal in refused.items()]
+    if wrong:
+        raise UsageError(f"the sitter {path}: {'; '.join(wrong)}")
+    return SimulatedSitter.from_values(known)
+
+
+def _number(text: str) -> float:
+    with suppress(ValueError):
+        return float(text)
+    return np.nan
