@@ -240,6 +240,23 @@ def _fit(command: Parser) -> None:
     command.add_json()
 
 
+@_command("design, run and report a study with people", "new first --design cinema")
+def _study(command: Parser) -> None:
+    does = "make a folder with a design; check and register it; let a person take part; report"
+    actions = "new", "check", "run", "report"
+    command.add_argument("action", choices=actions, metavar="|".join(actions), help=does)
+    command.add_argument("folder", type=Path, metavar="NAME", help="the study's folder")
+    designs = "of `new`: cinema, delay or identify"
+    chosen = command.add_value("--design", str, "NAME", designs, "cinema")
+    chosen.choices = ("cinema", "delay", "identify")
+    command.add_value("--participant", str, "CODE", "of `run`: an anonymous code, such as P01")
+    people = "of `run`: people with known true parameters, in place of a person"
+    command.add_value("--simulate", Path, "PEOPLE.json", people)
+    command.add_switch("--no-power", "of `check`: do not simulate studies")
+    command.add_value("--out", Path, "FILE", "of `report`: the page; default: NAME/report.html")
+    command.add_json()
+
+
 @_command("identify a rig with sweeps of rising level", "--device twin --out rig.toml")
 def _calibrate(command: Parser) -> None:
     devices = f"{SEE_DEVICES}; or twin"
