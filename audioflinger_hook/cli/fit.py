@@ -110,7 +110,8 @@ def _end(
     )
     refusal = session.refusal
     stored = None if refusal else fits.store(fit)
-    session.record.path.replace(session.record.path.with_suffix(".last.jsonl"))
+    record = fits.path_of(name).with_suffix(".jsonl")
+    record.replace(record.with_suffix(".last.jsonl"))
     if options.json:
         shown = {
             "accepted": not refusal,

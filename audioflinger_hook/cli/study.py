@@ -186,8 +186,8 @@ def _simulate(design: Design, stimuli: Stimuli, file: Path) -> None:
             if (code := f"S{done + 1:03d}") not in finished:
                 number, path = records.admit(design, code, True)
                 with _record(design, path, code, True) as record:
-                    who = Simulated(people, number, record.trials)
-                    for _ in run_session(design, number, record, stimuli, who):
+                    who = Simulated(people, number, stimuli, record.trials)
+                    for _ in run_session(design, number, record, who):
                         pass
     print(f"{people.count} simulated people took part; next: cushion study report {design.folder}")
 
@@ -207,11 +207,11 @@ def _live(design: Design, stimuli: Stimuli, code: str | None) -> None:
         player = opened.enter_context(closing(DaemonPlayer()))
         answers = opened.enter_context(closing(PageAnswers(player.stop, _show, time.time)))
         record = opened.enter_context(_record(design, path, code, False))
-        person, before = Person(answers, player, total), len(record.trials)
+        person, before = Person(answers, player, stimuli, total), len(record.trials)
         if not record.trials and not person.agrees(design.study.consent):
             raise UsageError(f"participant {code} did not agree; no trial was played")
         try:
-            for _ in run_session(design, number, record, stimuli, person):
+            for _ in run_session(design, number, record, person):
                 if _a8_m_s2(record.trials[before:]) > 0.5 * ACTION_A8_M_S2:
                     much = f"participant {code} has felt half of a day's exposure (action value)"
                     raise UsageError(f"{much}; go on another day, or with a lower level_db")

@@ -105,7 +105,9 @@ class TrialMeter:
         self._peak = max(self._peak, float(np.max(now[is_new, 0], initial=0.0)))
         kept = math.exp(-seconds / RMS_S)
         self._energy_s += seconds * (now[:, 1] - kept * self._before[:, 1]) / (1.0 - kept)
-        self._gain = min([self._gain, *(rig.protection().gain for rig in self._chain.rigs if rig)])
+        self._gain = min(
+            [self._gain, *(rig.protection().gain for rig in self._chain.design.rigs if rig)]
+        )
         self._frames, self._before = frames, now
 
     def result(self, seconds: float) -> dict[str, Any]:
@@ -134,7 +136,7 @@ class TrialMeter:
         return np.array([(one.level.peak, one.level.mean_square) for one in found])
 
     def _dose_sums(self) -> list[DoseSums]:
-        return [one.dose for rig in self._chain.rigs if rig for one in rig.safety_states()]
+        return [one.dose for rig in self._chain.design.rigs if rig for one in rig.safety_states()]
 
     def _limited_blocks(self) -> int:
-        return sum(rig.protection().limited_blocks for rig in self._chain.rigs if rig)
+        return sum(rig.protection().limited_blocks for rig in self._chain.design.rigs if rig)

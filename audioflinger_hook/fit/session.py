@@ -7,7 +7,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from audioflinger_hook.fit.curve import REFERENCE_HZ, TEST_HZ, CurvePosterior, Floats
-from audioflinger_hook.trials.record import TrialRecord, design_digest
+from audioflinger_hook.trials import session
+from audioflinger_hook.trials.record import Rows, design_digest
 
 TRIALS_MOST, TRIALS_A_MINUTE = 60, 20
 ENOUGH_DB = 1.0  # the fit ends when no frequency is less certain than this
@@ -63,18 +64,17 @@ class FitSession:
 
     posterior: what the answers say. catches, wrong: number of catch trials, and of wrong answers.
 
-    record: its header has the seed of orders and catch trials, "seed".
+    record: its header has the seed of orders and catch trials, "seed". It implements `Script`.
     sitter: compares the vibrations. trials_most: largest number of trials.
     """
 
-    def __init__(self, record: TrialRecord, sitter: Sitter, trials_most: int = TRIALS_MOST) -> None:
+    def __init__(self, record: Rows, sitter: Sitter, trials_most: int = TRIALS_MOST) -> None:
         self.record, self.trials_most = record, trials_most
         self.posterior = CurvePosterior()
         self.catches = self.wrong = 0
         self._sitter = sitter
         self._seed = int(record.header["seed"])
-        for line in record.trials:
-            self._take(line)
+        self._progress: Callable[[int, Floats], None] = lambda count, db: None
 
     @property
     def is_over(self) -> bool:
@@ -95,21 +95,26 @@ class FitSession:
             return "the answers contradict each other, as guesses would"
         return ""
 
-    def run(self, progress: Callable[[int, Floats], None] = lambda count, db: None) -> None:
+    def run(self, progress: Callable[[int, Floats], None] | None = None) -> None:
         """Ask until the fit is over. Each answer is on the disk before the next trial.
 
         progress: called before each trial with the number of trials done and the uncertainties in
         dB. WriteError: the disk is full. All errors of the sitter pass through.
         """
-        while not self.is_over:
-            count = len(self.record.trials)
-            progress(count, self.posterior.uncertainty_db)
-            trial = self._trial(count)
-            facts = {"trial": count, "hz": trial.hz, "level_db": trial.level_db}
-            facts |= {"catch": trial.index is None, "test_first": trial.test_first}
-            line = {**facts, **self._sitter.answer(trial)}
-            self.record.append(line)
-            self._take(line)
+        self._progress = progress or self._progress
+        for _ in session.run(self.record, self, self._sitter.answer):
+            pass
+
+    def next_trial(self) -> tuple[Trial, dict[str, Any]] | None:
+        """Return the trial to play next, and its columns of the record; None if it is over."""
+        if self.is_over:
+            return None
+        count = len(self.record.trials)
+        self._progress(count, self.posterior.uncertainty_db)
+        trial = self._trial(count)
+        columns = {"trial": count, "hz": trial.hz, "level_db": trial.level_db}
+        columns |= {"catch": trial.index is None, "test_first": trial.test_first}
+        return trial, columns
 
     def _trial(self, count: int) -> Trial:
         random = np.random.default_rng([self._seed, count])
@@ -122,12 +127,13 @@ class FitSession:
             return Trial(count, None, CATCH_DB if louder else -CATCH_DB, test_first)
         return Trial(count, *self.posterior.next_trial(self._sitter.headroom_db), test_first)
 
-    def _take(self, line: Mapping[str, Any]) -> None:
+    def take(self, row: Mapping[str, Any]) -> None:
+        """Learn from a recorded answer."""
         stronger = 0.5
-        if line["answer"] != UNKNOWN:
-            stronger = float((line["answer"] == FIRST) == line["test_first"])
-        index = None if line["catch"] else int(np.argmin(np.abs(TEST_HZ - line["hz"])))
-        self.posterior.add(index, line["level_db"], stronger)
-        if line["catch"]:
+        if row["answer"] != UNKNOWN:
+            stronger = float((row["answer"] == FIRST) == row["test_first"])
+        index = None if row["catch"] else int(np.argmin(np.abs(TEST_HZ - row["hz"])))
+        self.posterior.add(index, row["level_db"], stronger)
+        if row["catch"]:
             self.catches += 1
-            self.wrong += stronger != float(line["level_db"] > 0.0)
+            self.wrong += stronger != float(row["level_db"] > 0.0)

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from scipy.special import ndtr
 
 from audioflinger_hook.fit.curve import REFERENCE_HZ
 from audioflinger_hook.fit.session import FIRST, SECOND, Trial
+from audioflinger_hook.trials.simulated import drawn, people_file, with_lapses
 from device.errors import UsageError
 from device.values import Described, Description, Number, Refusal, no_such
 
@@ -67,23 +69,19 @@ class SimulatedSitter(Described):
         """Return the answer to a trial."""
         octaves, level_db = np.log2([*self.curve_db]), [*self.curve_db.values()]
         test, reference = np.interp(np.log2([trial.hz, REFERENCE_HZ]), octaves, level_db)
-        random = np.random.default_rng([self.seed, trial.number])
-        stronger = test - reference + trial.level_db + self.jnd_db * random.normal() > 0.0
-        if random.random() < self.lapse:
-            stronger = random.random() < 0.5
-        return {"answer": FIRST if stronger == trial.test_first else SECOND}
+        stronger = ndtr((test - reference + trial.level_db) / self.jnd_db)
+        chances = with_lapses(np.array([stronger, 1.0 - stronger]), self.lapse)
+        # apart from the session's stream of [seed, number], which draws the trial itself
+        is_weaker = drawn(chances, np.random.default_rng([self.seed, trial.number, 7]))
+        return {"answer": SECOND if is_weaker == trial.test_first else FIRST}
 
 
 def read_sitter(path: Path) -> SimulatedSitter:
     """Read a file such as EXAMPLE. UsageError: it has mistakes; the message names all of them."""
     try:
-        known = json.loads(path.read_text("utf-8"))
-        if not isinstance(known, dict):
-            raise ValueError("no table")
-    except OSError as error:
-        raise UsageError(f"cannot read {path}: {error.strerror}; allowed: {EXAMPLE}") from None
-    except (ValueError, RecursionError) as error:
-        raise UsageError(f"{path} is no JSON of a sitter ({error}); allowed: {EXAMPLE}") from None
+        known = people_file(path)
+    except UsageError as error:
+        raise UsageError(f"{error}; allowed: {EXAMPLE}") from None
     known_keys = SimulatedSitter.DESCRIPTIONS
     wrong = [no_such("key", key[:40], known_keys, "") for key in known if key not in known_keys]
     refused = SimulatedSitter.refusals(known)

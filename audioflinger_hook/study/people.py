@@ -1,16 +1,15 @@
 """Simulated people, whose true parameters are known: `cushion study run --simulate PEOPLE.json`."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.config.toml_text import text_of
 from audioflinger_hook.study.curves import probability
 from audioflinger_hook.study.design import Design, Question
 from audioflinger_hook.study.trials import FIRST, SECOND, Trial, counted
+from audioflinger_hook.trials.simulated import drawn, people_file, with_lapses
 from device.errors import UsageError
 from device.units import FloatArray
 from device.values import nearest
@@ -32,12 +31,12 @@ LOWEST = {"jnd_ms": 5.0, "jnd_db": 0.2, "noise": 0.0, "accuracy": 0.0}
 class People:
     """Draws people and their answers. The same seed, person and trial give the same answer.
 
-    truths: the parameters of each question, by its name; other questions have the defaults.
-    UsageError: a name or value is not allowed.
+    design: the study's. truths: the parameters of each question, by its name; other questions have
+    the defaults. UsageError: a name or value is not allowed.
     """
 
     def __init__(self, design: Design, truths: Mapping[str, Any], seed: int, count: int) -> None:
-        self.count, self._seed, self._design = count, seed, design
+        self.count, self.design, self._seed = count, design, seed
         self._truths: dict[str, dict[str, FloatArray]] = {}
         known = list(design.questions)
         for name in truths:
@@ -48,7 +47,7 @@ class People:
 
     def person(self, name: str, person: int) -> dict[str, FloatArray]:
         """Return a person's parameters in a question, one value for each condition."""
-        index = list(self._design.questions).index(name)
+        index = list(self.design.questions).index(name)
         return self._drawn(name, np.random.default_rng((self._seed, index, person)))
 
     def many(self, name: str, count: int = 4_000) -> list[dict[str, FloatArray]]:
@@ -60,7 +59,7 @@ class People:
 
     def answer(self, trial: Trial, person: int) -> tuple[str | float, float]:
         """Return a person's answer to a trial, and after how many seconds it comes."""
-        question = self._design.questions[trial.question]
+        question = self.design.questions[trial.question]
         rng = np.random.default_rng((self._seed, person, trial.number, 7))
         return answer(question, trial, self.person(question.name, person), rng)
 
@@ -76,11 +75,8 @@ class People:
 
 def load_people(path: Path, design: Design) -> People:
     """Return the people of a JSON file. UsageError: it cannot be read, or has a mistake."""
-    text = text_of(path)
+    document = people_file(path)
     try:
-        document = json.loads(text)
-        if not isinstance(document, dict):
-            raise UsageError("is not a JSON object")
         for key in document.keys() - {"people", "seed", "questions"}:
             raise UsageError(f"{key!r} is an unknown key; allowed: people, seed, questions")
         count = document.get("people", design.study.participants)
@@ -94,7 +90,7 @@ def load_people(path: Path, design: Design) -> People:
         if not isinstance(truths, dict):
             raise UsageError('"questions" is not a JSON object')
         return People(design, truths, seed, count)
-    except (ValueError, UsageError) as error:
+    except UsageError as error:
         raise UsageError(f"{path}: {error}; see docs/study.md") from None
 
 
@@ -104,14 +100,13 @@ def chosen_probability(
     """Return the probability of each choice, in the order of `trial.choices`, lapses included."""
     names = [name for name in trial.conditions if name in question.conditions]
     place = question.conditions.index(names[0])
-    n, lapse = len(trial.choices), float(person["lapse"][0])
     if question.paradigm == "preference":
         one, other = (person["worth"][question.conditions.index(name)] for name in names)
         first = 1.0 / (1.0 + np.exp(other - one))
         p = np.array([first if choice == FIRST else 1.0 - first for choice in trial.choices])
     elif question.paradigm == "identification":
         right = min(1.0, float(person["accuracy"][place]))
-        p = np.full(n, (1.0 - right) / (n - 1))
+        p = np.full(len(trial.choices), (1.0 - right) / (len(trial.choices) - 1))
         p[trial.choices.index(trial.stimulus)] = right
     else:
         x = trial.offset_ms
@@ -123,7 +118,7 @@ def chosen_probability(
         yes = float(probability(question, np.array(x), np.array(value), np.array(jnd)))
         is_yes = [counted(trial, question, choice) for choice in trial.choices]
         p = np.where(is_yes, yes, 1.0 - yes)
-    return lapse / n + (1.0 - lapse) * p
+    return with_lapses(p, float(person["lapse"][0]))
 
 
 def answer(
@@ -137,7 +132,7 @@ def answer(
         is_random = rng.random() < person["lapse"][0]
         return round(float(np.clip(100.0 * rng.random() if is_random else rated, 0, 100))), after_s
     p = chosen_probability(question, trial, person)
-    return trial.choices[int(np.searchsorted(np.cumsum(p)[:-1], rng.random()))], after_s
+    return trial.choices[drawn(p, rng)], after_s
 
 
 def _parameters(question: Question, truth: Any) -> dict[str, FloatArray]:

@@ -1,8 +1,7 @@
 """Whole simulated studies, and the power of a design for a stated effect."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,16 +9,9 @@ from audioflinger_hook.study.design import Design, Question
 from audioflinger_hook.study.estimates import Answered, Measured, measure, p_values
 from audioflinger_hook.study.people import People
 from audioflinger_hook.study.session import Simulated, run, trial_of
+from audioflinger_hook.trials.record import Rows
 
 STUDIES, LEVEL = 100, 0.05
-
-
-@dataclass
-class _Memory:
-    trials: list[dict[str, Any]] = field(default_factory=list)
-
-    def append(self, trial: Mapping[str, Any]) -> None:
-        self.trials.append(dict(trial))
 
 
 def simulated_study(design: Design, name: str, people: People) -> Measured:
@@ -28,10 +20,8 @@ def simulated_study(design: Design, name: str, people: People) -> Measured:
     alone = replace(design, questions={name: question})
     answered: list[Answered] = []
     for number in range(people.count):
-        memory = _Memory()
-        for _ in run(alone, number, memory, None, Simulated(people, number)):
-            pass
-        answered.append([(trial_of(r), r["answer"]) for r in memory.trials if not r["practice"]])
+        rows = run(alone, number, Rows(), Simulated(people, number))
+        answered.append([(trial_of(row), row["answer"]) for row in rows if not row["practice"]])
     return measure(question, answered)
 
 

@@ -13,7 +13,9 @@ from audioflinger_hook.study.people import People
 from audioflinger_hook.study.stimuli import Stimuli, Vibration
 from audioflinger_hook.study.trials import Trial, at_level, counted, session, tested
 from audioflinger_hook.trials import page
+from audioflinger_hook.trials import session as trials_session
 from audioflinger_hook.trials.player import Played, Player
+from audioflinger_hook.trials.record import Rows
 from device.units import FloatArray
 
 PRACTICE_BELOW_DB = 2.0  # level of adaptive practice trials, below the strongest
@@ -31,55 +33,60 @@ PAUSE = "Take a pause. Go on when you are ready."
 THANKS = "This was the last question. Thank you for taking part."
 
 
-class _Record(Protocol):
-    trials: list[dict[str, Any]]
+class _Script:
+    """Chooses a participant's trials: a `Script` of `trials.session`."""
 
-    def append(self, trial: Mapping[str, Any]) -> None: ...
+    def __init__(self, design: Design, number: int) -> None:
+        self._design, self._left = design, session(design, number)[::-1]
+        adaptive = [one for one in design.questions.values() if one.paradigm in ADAPTIVE]
+        self._curves = {question.name: Curve(question) for question in adaptive}
+        self._counts: dict[tuple[str, str, str], FloatArray] = {}
+
+    def next_trial(self) -> tuple[Trial, dict[str, Any]] | None:
+        """Return the next trial, at the level that tells most, and its columns."""
+        if not self._left:
+            return None
+        trial = self._left[-1]
+        question = self._design.questions[trial.question]
+        if curve := self._curves.get(trial.question):
+            level_db = question.highest_db - PRACTICE_BELOW_DB
+            if not trial.is_practice:
+                level_db = curve.next_x(*self._counted(trial, question))
+            trial = at_level(trial, question, level_db)
+        return trial, _columns(trial, question)
+
+    def take(self, row: Mapping[str, Any]) -> None:
+        """Count a recorded answer."""
+        self._left.pop()
+        trial, question = trial_of(row), self._design.questions[row["question"]]
+        if (curve := self._curves.get(question.name)) and not trial.is_practice:
+            is_other = not counted(trial, question, row["answer"])
+            x = trial.gains_db[tested(trial, question)]
+            self._counted(trial, question)[int(is_other), curve.index(x)] += 1.0
+
+    def _counted(self, trial: Trial, question: Question) -> FloatArray:
+        key = trial.question, trial.conditions[tested(trial, question)], trial.stimulus
+        return self._counts.setdefault(key, np.zeros((2, len(self._curves[trial.question].xs))))
 
 
-class _Participant(Protocol):
-    def answer(self, trial: Trial, question: Question, files: list[Vibration]) -> dict[str, Any]:
+class Participant(Protocol):
+    """Who answers: a `Person` or `Simulated`."""
+
+    def answer(self, trial: Trial) -> dict[str, Any]:
         """Play a trial and ask; return the columns of what was played and answered."""
         ...
 
-    def pause(self) -> None: ...
+    def pause(self) -> None:
+        """Take a pause."""
+        ...
 
 
-def run(
-    design: Design, number: int, record: _Record, stimuli: Stimuli | None, who: _Participant
-) -> Iterator[Trial]:
-    """Yield each trial after its row is recorded; trials that are recorded already are left out.
+def run(design: Design, number: int, record: Rows, who: Participant) -> Iterator[Mapping[str, Any]]:
+    """Yield each row after it is recorded; trials that are recorded already are left out.
 
-    number: the participant's, from 0. record: has `trials`, and `append`, as `TrialRecord`.
-    stimuli: makes the files; None for a simulation without. who: a `Person` or `Simulated`.
+    number: the participant's, from 0.
     """
-    counts: dict[tuple[str, str, str], FloatArray] = {}
-    curves = {name: Curve(q) for name, q in design.questions.items() if q.paradigm in ADAPTIVE}
-    done = {row["trial"]: row for row in record.trials}
-    block = max([row["block"] for row in record.trials], default=1)
-    for trial in session(design, number):
-        question, curve = design.questions[trial.question], curves.get(trial.question)
-        row = done.get(trial.number)
-        if row is None and trial.block > block:
-            who.pause()
-            block = trial.block
-        if curve:
-            key = trial.question, trial.conditions[tested(trial, question)], trial.stimulus
-            before = counts.setdefault(key, np.zeros((2, len(curve.xs))))
-            level_db = question.highest_db - PRACTICE_BELOW_DB
-            if row is None and not trial.is_practice:
-                level_db = curve.next_x(*before)
-            trial = at_level(trial, question, level_db)
-        if row is None:
-            row = _columns(trial, question)
-            intervals = range(len(trial.conditions) if stimuli else 0)
-            files = [stimuli.vibration(trial, i) for i in intervals] if stimuli else []
-            row |= who.answer(trial, question, files)
-            record.append(row)
-            yield trial
-        if curve and not trial.is_practice:
-            x = row[f"gain_db_{1 + tested(trial, question)}"]
-            before[int(not counted(trial, question, row["answer"])), curve.index(x)] += 1.0
+    return trials_session.run(record, _Script(design, number), who.answer, who.pause)
 
 
 def _columns(trial: Trial, question: Question) -> dict[str, Any]:
@@ -120,11 +127,12 @@ def _played(i: int, file: Vibration, played: Played) -> dict[str, Any]:
 class Person:
     """A person, who answers on a page, and a player of the vibration.
 
-    total: number of the session's trials.
+    stimuli: makes the files. total: number of the session's trials.
     """
 
-    def __init__(self, answers: page.Answers, player: Player, total: int) -> None:
-        self._answers, self._player, self._total = answers, player, total
+    def __init__(self, answers: page.Answers, player: Player, stimuli: Stimuli, total: int) -> None:
+        self._answers, self._player = answers, player
+        self._stimuli, self._total = stimuli, total
 
     def agrees(self, consent: str) -> bool:
         """Ask for consent; return whether it is given."""
@@ -135,9 +143,10 @@ class Person:
         """Show a pause until the person goes on."""
         self._answers.ask(self._text("Pause", PAUSE, (page.Choice("on", "Go on", "1"),)))
 
-    def answer(self, trial: Trial, question: Question, files: list[Vibration]) -> dict[str, Any]:
+    def answer(self, trial: Trial) -> dict[str, Any]:
         """Play all intervals, as often as the person asks, and return the answer."""
-        asked = self._asked(trial, question)
+        asked = self._asked(trial, self._stimuli.design.questions[trial.question])
+        files = self._stimuli.of(trial)
         columns: dict[str, Any] = {}
         again = 0
         while True:
@@ -181,11 +190,19 @@ class Person:
 class Simulated:
     """A simulated person, and a player without a device, whose clock only counts.
 
-    rows: what is recorded already, so that the clock goes on.
+    stimuli: makes the files; None for none. rows: what is recorded already, so that the clock goes
+    on.
     """
 
-    def __init__(self, people: People, number: int, rows: Sequence[Mapping[str, Any]] = ()) -> None:
+    def __init__(
+        self,
+        people: People,
+        number: int,
+        stimuli: Stimuli | None = None,
+        rows: Sequence[Mapping[str, Any]] = (),
+    ) -> None:
         self._people, self._number, self._now_s = people, number, 0.0
+        self._stimuli = stimuli
         for row in rows[-1:]:
             last = 2 if "condition_2" in row else 1
             began_s = row[f"vibration_began_s_{last}"] + row[f"seconds_{last}"] + GAP_S
@@ -194,10 +211,10 @@ class Simulated:
     def pause(self) -> None:
         """Take no pause."""
 
-    def answer(self, trial: Trial, question: Question, files: list[Vibration]) -> dict[str, Any]:
+    def answer(self, trial: Trial) -> dict[str, Any]:
         """Return a random answer, and what a perfect device would have played."""
         columns: dict[str, Any] = {}
-        for i, file in enumerate(files):
+        for i, file in enumerate(self._stimuli.of(trial) if self._stimuli else []):
             began_s = self._now_s if file.sound else None
             levels = file.peak_dbfs, file.level_dbfs
             played = Played(began_s, self._now_s, file.seconds, False, *levels, 0.0, 0, None, None)

@@ -49,26 +49,31 @@ class Vibration:
 class Stimuli:
     """Makes the files of a design in its folder `stimuli` as they are needed.
 
-    lowered_db: by sound, how much all conditions were lowered so that none exceeds full scale.
+    design: the study's. lowered_db: by sound, how much all conditions were lowered so that none
+    exceeds full scale.
     """
 
     def __init__(self, design: Design) -> None:
-        self._design, self._folder = design, design.folder / FOLDER
+        self.design, self._folder = design, design.folder / FOLDER
         self.lowered_db: dict[str, float] = {}
         self._made: dict[tuple[object, ...], Vibration] = {}
 
     @cached_property
     def pad_s(self) -> float:
         """Silence before and after each sound, in s: half the gap, and the longest delay."""
-        delays = [abs(one.delay_ms) for one in self._design.conditions.values()]
-        questions = [q for q in self._design.questions.values() if q.paradigm == "synchrony"]
+        delays = [abs(one.delay_ms) for one in self.design.conditions.values()]
+        questions = [q for q in self.design.questions.values() if q.paradigm == "synchrony"]
         offsets = [abs(ms) for question in questions for ms in question.offsets_ms]
         return 0.5 * GAP_S + (max(delays) + max(offsets, default=0.0)) / 1e3
+
+    def of(self, trial: Trial) -> list[Vibration]:
+        """Return the files of all intervals of a trial. UsageError: they cannot be made."""
+        return [self.vibration(trial, interval) for interval in range(len(trial.conditions))]
 
     def vibration(self, trial: Trial, interval: int) -> Vibration:
         """Return the files of an interval, 0 or 1, of a trial. UsageError: they cannot be made."""
         name, gain_db = trial.conditions[interval], trial.gains_db[interval]
-        heard = self._design.questions[trial.question].sound
+        heard = self.design.questions[trial.question].sound
         key = (trial.stimulus, name, gain_db, trial.offset_ms, heard)
         if key not in self._made:
             self._made[key] = self._make(*key)
@@ -77,7 +82,7 @@ class Stimuli:
     def mistakes(self) -> list[str]:
         """Make one vibration of each kind; return why others cannot be made."""
         found = []
-        for question in self._design.questions.values():
+        for question in self.design.questions.values():
             for stimulus in question.stimuli:
                 for name in question.conditions:
                     try:
@@ -93,14 +98,14 @@ class Stimuli:
         sound, rate = self._sound(stimulus)
         pad = round(self.pad_s * rate)
         heard_path = None
-        if heard or self._design.study.masking_db is not None:
+        if heard or self.design.study.masking_db is not None:
             named = f"{stimulus}{'' if heard else '-masking'}.wav"
             heard_path = self._folder / named.replace("/", "_")
             _write(heard_path, self._masked(sound if heard else 0.0 * sound, pad, rate), rate)
         frames = len(sound) + 2 * pad
         vibration, its_delay_ms = np.zeros(len(sound)), 0.0
         if not self._is_none(name):
-            condition = self._design.conditions[name]
+            condition = self.design.conditions[name]
             its_delay_ms = condition.delay_ms
             gain = 10.0 ** ((gain_db + condition.gain_db) / 20.0)
             vibration = self._levelled(stimulus, name) * gain
@@ -120,22 +125,22 @@ class Stimuli:
         return Vibration(heard_path, path, digest, weighted_db, *levels, frames / rate)
 
     def _is_none(self, name: str) -> bool:
-        return name == NONE or self._design.conditions[name].method == NONE
+        return name == NONE or self.design.conditions[name].method == NONE
 
     @cache  # noqa: B019 - as long as the study runs
     def _sound(self, stimulus: str) -> tuple[FloatArray, int]:
-        sound, rate = soundfile.read(self._design.stimuli[stimulus].file, always_2d=True)
+        sound, rate = soundfile.read(self.design.stimuli[stimulus].file, always_2d=True)
         return sound, rate
 
     @cache  # noqa: B019
     def _vibration(self, stimulus: str, name: str) -> FloatArray:
         sound, rate = self._sound(stimulus)
-        condition = self._design.conditions[name]
+        condition = self.design.conditions[name]
         if condition.method in BASELINES:
             stream = BASELINES[condition.method](rate, sound.shape[1])
             whole = np.concatenate((stream.process(sound), stream.finish()))[:, 0]
             found: FloatArray = whole[stream.latency_frames :]
-        elif path := self._design.vibration_file(condition, stimulus):
+        elif path := self.design.vibration_file(condition, stimulus):
             read, its_rate = soundfile.read(path, always_2d=True)
             if its_rate != rate or abs(len(read) - len(sound)) > 0.001 * rate:
                 raise UsageError(
@@ -146,7 +151,7 @@ class Stimuli:
         else:
             with TemporaryDirectory() as folder:
                 target = Path(folder) / "vibration.wav"
-                source = self._design.stimuli[stimulus].file
+                source = self.design.stimuli[stimulus].file
                 render_file(source, target, Settings(profile=condition.method))
                 found = soundfile.read(target, always_2d=True)[0][:, 0]
         if _rms(found) < SILENT:
@@ -160,7 +165,7 @@ class Stimuli:
             return np.zeros(1)
         together = {
             one
-            for q in self._design.questions.values()
+            for q in self.design.questions.values()
             if stimulus in q.stimuli
             for one in q.conditions
             if not self._is_none(one)
@@ -170,10 +175,10 @@ class Stimuli:
         for one in together:
             with suppress(UsageError):
                 signal = self._vibration(stimulus, one)
-                gain_db = max(0.0, self._design.conditions[one].gain_db)
+                gain_db = max(0.0, self.design.conditions[one].gain_db)
                 crest = np.abs(signal).max() / weighted_level(signal, rate, len(signal))
                 peaks.append(float(crest) * 10.0 ** (gain_db / 20.0))
-        wanted = 10.0 ** (self._design.study.level_db / 20.0)
+        wanted = 10.0 ** (self.design.study.level_db / 20.0)
         level = min(wanted, PEAK_MAX / max(peaks, default=1.0))
         self.lowered_db[stimulus] = 20.0 * log10(wanted / level)
         signal = self._vibration(stimulus, name)
@@ -181,8 +186,8 @@ class Stimuli:
 
     def _masked(self, sound: FloatArray, pad: int, rate: int) -> FloatArray:
         padded = np.pad(sound, ((pad, pad), (0, 0)))
-        if (masking_db := self._design.study.masking_db) is not None:
-            noise = np.random.default_rng(self._design.study.seed).standard_normal(len(padded))
+        if (masking_db := self.design.study.masking_db) is not None:
+            noise = np.random.default_rng(self.design.study.seed).standard_normal(len(padded))
             hz = np.fft.rfftfreq(len(padded), 1.0 / rate)
             pink = irfft(rfft(noise) / np.sqrt(np.maximum(hz, 20.0)), len(padded))
             padded = padded + (10.0 ** (masking_db / 20.0) / _rms(pink) * pink)[:, None]

@@ -30,13 +30,26 @@ class OtherDesignError(UsageError):
     """A record belongs to another design."""
 
 
-class TrialRecord(AbstractContextManager["TrialRecord"]):
+class Rows:
+    """The rows of a session, in memory.
+
+    trials: list of the trials, in the order of their answers. header: further facts, as a dict.
+    """
+
+    def __init__(self, header: Mapping[str, Any] | None = None) -> None:
+        self.trials: list[dict[str, Any]] = []
+        self.header: dict[str, Any] = {**(header or {})}
+
+    def append(self, trial: Mapping[str, Any]) -> None:
+        """Keep one trial."""
+        self.trials.append(dict(trial))
+
+
+class TrialRecord(Rows, AbstractContextManager["TrialRecord"]):
     """An append-only file of trials, which one process may have open.
 
     The first line is the header {"design": SHA-256, ...}; each further line is one trial. After
     kill -9 in the middle of a line, the next opening removes this line. All trials before are kept.
-
-    trials: list of the trials, in the order of the file. header: the header, as a dict.
 
     path: the file; a missing file, and its folder, is made. design: the design's `design_digest`.
     header: further entries for the header of a new file; ignored for an existing file.
@@ -48,9 +61,8 @@ class TrialRecord(AbstractContextManager["TrialRecord"]):
     def __init__(
         self, path: Path, design: str = "", *, header: Mapping[str, Any] | None = None
     ) -> None:
+        super().__init__({"design": design, **(header or {})})
         self.path = path
-        self.trials: list[dict[str, Any]] = []
-        self.header: dict[str, Any] = {"design": design, **(header or {})}
         make_private_folder(path.parent)
         try:
             self._fd = os.open(path, _FLAGS, 0o600)

@@ -160,7 +160,7 @@ def test_all_mistakes_of_a_sitter_are_said_at_once(state, person, facts, said):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--simulate", "nowhere.json"], "cannot read nowhere.json"),
+        (["--simulate", "nowhere.json"], "nowhere.json cannot be read"),
         (["--seed", "-1"], "seed=-1"),
         (["--minutes", "0"], "minutes=0"),
         (["--name", "../x", "--page"], "fit"),

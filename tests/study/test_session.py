@@ -35,8 +35,8 @@ def test_interrupted_anywhere_a_session_ends_with_the_rows_of_an_uninterrupted_o
 
     def go(path, stop_after):
         with TrialRecord(path, design.digest) as record:
-            who = Simulated(people, 0, record.trials)
-            for done, _ in enumerate(run(design, 0, record, stimuli, who), 1):
+            who = Simulated(people, 0, stimuli, record.trials)
+            for done, _ in enumerate(run(design, 0, record, who), 1):
                 if done == stop_after:
                     raise Killed
 
@@ -114,7 +114,7 @@ def test_a_full_disk_ends_the_session_with_the_last_trial_saved(tmp_path):
     with Full(tmp_path / "r.jsonl", design.digest) as record:
         who = Simulated(People(design, {}, 1, 2), 0)
         with pytest.raises(WriteError):
-            list(run(design, 0, record, None, who))
+            list(run(design, 0, record, who))
     assert [row["trial"] for row in rows_of(tmp_path / "r.jsonl")] == [1, 2, 3, 4, 5]
 
 
@@ -201,7 +201,8 @@ def test_a_person_hears_again_waits_for_the_device_and_answers_each_trial_once(t
     design = load(tmp_path)
     answers, player = ScriptedPage(), ScriptedPlayer()
     with TrialRecord(tmp_path / "r.jsonl", design.digest) as record:
-        total = len(list(run(design, 0, record, Stimuli(design), Person(answers, player, 9))))
+        person = Person(answers, player, Stimuli(design), 9)
+        total = len(list(run(design, 0, record, person)))
         rows = record.trials
     assert [row["trial"] for row in rows] == list(range(1, total + 1))
     assert sum(row["again"] for row in rows) == 1

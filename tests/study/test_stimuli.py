@@ -41,7 +41,7 @@ def test_all_conditions_of_a_trial_have_the_same_weighted_level(tmp_path, level_
         assert [file.weighted_db for file in files] == pytest.approx([level_db] * 4, abs=MATCHED_DB)
     assert files[0].digest == sha256(files[0].path.read_bytes()).hexdigest()
     assert files[0].digest != files[3].digest
-    assert design.digest != stimuli._design.digest
+    assert design.digest != stimuli.design.digest
 
 
 def test_an_offset_delays_the_vibration_by_exactly_that_time(tmp_path):
