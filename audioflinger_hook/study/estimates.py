@@ -2,9 +2,7 @@
 
 Each estimate is a function of a mean over participants, and the bootstrap draws participants. The
 tail of the bootstrap is that of Hesterberg's expanded percentiles (American Statistician 69, 2015),
-because plain percentiles are too narrow for few participants. The tails are moved by the skewness
-of the estimate, the acceleration of Efron (Journal of the American Statistical Association 82,
-1987), because small JNDs have short intervals. The bootstrap's bias is subtracted.
+because plain percentiles are too narrow for few participants. The bootstrap's bias is subtracted.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -71,13 +69,9 @@ def estimate(measured: Measured, seed: int) -> Estimate:
         weights = rng.multinomial(n, np.full(n, 1.0 / n), RESAMPLES) / n
         drawn = measured.statistic(np.tensordot(weights, measured.features, 1))
         bias = drawn.mean(axis=0) - values
-        left_out = measured.statistic((n * mean - measured.features) / (n - 1))
-        apart = left_out.mean(axis=0) - left_out
-        skew = (apart**3).sum(axis=0) / np.maximum((apart**2).sum(axis=0), 1e-12) ** 1.5 / 6.0
-        q = np.sqrt(n / (n - 1)) * stats.t.ppf(0.5 - 0.5 * LEVEL, n - 1) * np.array([[1.0], [-1.0]])
-        tails = stats.norm.cdf(q / (1.0 - np.clip(skew * q, -0.5, 0.5)))  # (2, names)
-        ends = [np.quantile(one, tail) for one, tail in zip(drawn.T, tails.T, strict=True)]
-        lows, highs = np.array(ends).T - 2.0 * bias
+        quantile = np.sqrt(n / (n - 1)) * stats.t.ppf(0.5 - 0.5 * LEVEL, n - 1)
+        tail = stats.norm.cdf(quantile)
+        lows, highs = np.quantile(drawn, (tail, 1.0 - tail), axis=0) - 2.0 * bias
         values = values - bias
     values, lows, highs = np.clip((values, lows, highs), measured.low, measured.high)
     p, p_of = p_values(measured)
