@@ -26,11 +26,12 @@ from audioflinger_hook.study.design import DESIGN, Design
 from audioflinger_hook.study.design_check import check, load
 from audioflinger_hook.study.people import People, load_people
 from audioflinger_hook.study.power import power
-from audioflinger_hook.study.session import Person, Simulated
+from audioflinger_hook.study.session import Simulated, StudyPerson
 from audioflinger_hook.study.session import run as run_session
 from audioflinger_hook.study.stimuli import Stimuli
 from audioflinger_hook.study.trials import session
 from audioflinger_hook.trials.page import PageAnswers
+from audioflinger_hook.trials.person import Person
 from audioflinger_hook.trials.player import DaemonPlayer
 from audioflinger_hook.trials.record import TrialRecord
 from device.atomic_file import write_bytes_atomically
@@ -204,10 +205,10 @@ def _live(design: Design, stimuli: Stimuli, code: str | None) -> None:
     number, path = records.admit(design, code, False)
     total = len(session(design, number))
     with ExitStack() as opened:
-        player = opened.enter_context(closing(DaemonPlayer()))
+        player = opened.enter_context(closing(DaemonPlayer(time.monotonic)))
         answers = opened.enter_context(closing(PageAnswers(player.stop, _show, time.time)))
         record = opened.enter_context(_record(design, path, code, False))
-        person, before = Person(answers, player, stimuli, total), len(record.trials)
+        person, before = StudyPerson(Person(player, answers), stimuli, total), len(record.trials)
         if not record.trials and not person.agrees(design.study.consent):
             raise UsageError(f"participant {code} did not agree; no trial was played")
         try:

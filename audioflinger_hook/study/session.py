@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,7 +13,8 @@ from audioflinger_hook.study.stimuli import Stimuli, Vibration
 from audioflinger_hook.study.trials import Trial, at_level, counted, session, tested
 from audioflinger_hook.trials import page
 from audioflinger_hook.trials import session as trials_session
-from audioflinger_hook.trials.player import Played, Player
+from audioflinger_hook.trials.person import Person
+from audioflinger_hook.trials.player import Played
 from audioflinger_hook.trials.record import Rows
 from device.units import FloatArray
 
@@ -70,7 +70,7 @@ class _Script:
 
 
 class Participant(Protocol):
-    """Who answers: a `Person` or `Simulated`."""
+    """Who answers: a `StudyPerson` or `Simulated`."""
 
     def answer(self, trial: Trial) -> dict[str, Any]:
         """Play a trial and ask; return the columns of what was played and answered."""
@@ -124,67 +124,62 @@ def _played(i: int, file: Vibration, played: Played) -> dict[str, Any]:
     }
 
 
-class Person:
-    """A person, who answers on a page, and a player of the vibration.
+class StudyPerson:
+    """A person, who feels and answers.
 
     stimuli: makes the files. total: number of the session's trials.
     """
 
-    def __init__(self, answers: page.Answers, player: Player, stimuli: Stimuli, total: int) -> None:
-        self._answers, self._player = answers, player
-        self._stimuli, self._total = stimuli, total
+    def __init__(self, person: Person, stimuli: Stimuli, total: int) -> None:
+        self._person, self._stimuli, self._total = person, stimuli, total
 
     def agrees(self, consent: str) -> bool:
         """Ask for consent; return whether it is given."""
-        choices = page.Choice("yes", "I agree", "1"), page.Choice("no", "I do not agree", "2")
-        return self._answers.ask(self._text("Consent", consent, choices)).value == "yes"
+        choices = ("yes", "I agree", "1"), ("no", "I do not agree", "2")
+        return self._person.answers.ask(_text("Consent", consent, *choices)).value == "yes"
 
     def pause(self) -> None:
         """Show a pause until the person goes on."""
-        self._answers.ask(self._text("Pause", PAUSE, (page.Choice("on", "Go on", "1"),)))
+        self._person.answers.ask(_text("Pause", PAUSE, ("on", "Go on", "1")))
 
     def answer(self, trial: Trial) -> dict[str, Any]:
         """Play all intervals, as often as the person asks, and return the answer."""
         asked = self._asked(trial, self._stimuli.design.questions[trial.question])
         files = self._stimuli.of(trial)
-        columns: dict[str, Any] = {}
-        again = 0
-        while True:
-            for i, file in enumerate(files):
-                title = LABELS[str(i + 1)] if len(files) > 1 else asked.title
-                screen = replace(asked, kind=page.Kind.PLAYING, title=title, choices=(), also=())
-                where = file.sound, file.path
-                played = page.play_whole(self._player, self._answers, where, screen)
-                columns |= _played(i, file, played)
-            given = self._answers.ask(asked)
-            if given.value != page.AGAIN.value:
-                break
-            again += 1
-        about = {"answered_after_s": given.after_s, "again": again, "pauses": given.pauses}
-        return {**columns, "answer": given.value, **about}
+        shown = {**asked, "kind": "playing", "choices": [], "also": []}
+        titles = [LABELS["1"], LABELS["2"]] if len(files) > 1 else [asked["title"]]
+        intervals = [
+            (file.sound, file.path, {**shown, "title": title})
+            for file, title in zip(files, titles, strict=True)
+        ]
+        played, columns = self._person.answer(lambda: intervals, asked)
+        for i, (file, one) in enumerate(zip(files, played, strict=True)):
+            columns |= _played(i, file, one)
+        return columns
 
     def thank(self) -> None:
         """Show that the session is over."""
-        self._answers.show(self._text("The end", THANKS, ()))
+        self._person.answers.show(_text("The end", THANKS))
 
-    def _asked(self, trial: Trial, question: Question) -> page.Question:
+    def _asked(self, trial: Trial, question: Question) -> page.Screen:
         key = question.judgement if question.paradigm == "synchrony" else question.paradigm
-        kind = page.Kind.ONE_OF if question.paradigm == "identification" else page.Kind.CHOICE
+        kind: page.Kind = "one of" if question.paradigm == "identification" else "choice"
         labelled = [(choice, LABELS.get(choice, choice.capitalize())) for choice in trial.choices]
-        return page.Question(
-            page.Kind.SLIDER if question.paradigm == "rating" else kind,
+        is_rating = question.paradigm == "rating"
+        return page.screen(
+            "slider" if is_rating else kind,
             question.ask or ASKED[key],
-            choices=tuple(page.Choice(*one, str(i)) for i, one in enumerate(labelled, 1)),
-            also=(page.AGAIN,),
-            labels=("bad", "fair", "excellent") if question.paradigm == "rating" else (),
+            choices=[(*one, str(i)) for i, one in enumerate(labelled, 1)],
+            also=[page.AGAIN],
+            labels=("bad", "fair", "excellent") if is_rating else (),
             done=trial.number - 1,
             total=self._total,
             practice=trial.is_practice,
         )
 
-    def _text(self, title: str, text: str, choices: tuple[page.Choice, ...]) -> page.Question:
-        paragraphs = tuple(text.strip().split("\n\n"))
-        return page.Question(page.Kind.TEXT, title, paragraphs, choices)
+
+def _text(title: str, text: str, *choices: page.Choice) -> page.Screen:
+    return page.screen("text", title, *text.strip().split("\n\n"), choices=choices)
 
 
 class Simulated:
@@ -216,8 +211,8 @@ class Simulated:
         columns: dict[str, Any] = {}
         for i, file in enumerate(self._stimuli.of(trial) if self._stimuli else []):
             began_s = self._now_s if file.sound else None
-            levels = file.peak_dbfs, file.level_dbfs
-            played = Played(began_s, self._now_s, file.seconds, False, *levels, 0.0, 0, None, None)
+            level = file.level_dbfs
+            played = Played(began_s, self._now_s, file.seconds, False, level, 0.0, None, None)
             columns |= _played(i, file, played)
             self._now_s += file.seconds + GAP_S
         answer, after_s = self._people.answer(trial, self._number)
