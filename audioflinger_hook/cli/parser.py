@@ -236,7 +236,6 @@ def _fit(command: Parser) -> None:
     person = "let a simulated person answer; the file has its curve"
     command.add_value("--simulate", Path, "SITTER.json", person)
     command.add_value("--seed", count, "N", "seed of the order of trials; default: a new one")
-    command.add_value("--plot", Path, "FILE", "show, compare: write a picture (PNG)")
     command.add_json()
 
 

@@ -159,9 +159,13 @@ class _Reading:
                 section = next(k.section for k in KEYS if (k.owner, k.field) == (owner, name))
                 self._add(f"{section}.{name}" if section else name, refusal)
         chosen = self.accepted[TransformParameters]
-        is_chosen = bool(chosen.get("fit")) or (TransformParameters, "fit") in self.refused
-        if chosen.get("strength") == "fit" and not is_chosen and not fits.names():
-            self._add("transform.strength", Refusal("needs a fit", "flat, felt, rig; " + fits.MAKE))
+        name = str(chosen.get("fit", ""))
+        if chosen.get("strength") == "fit" and ":" not in name:
+            try:
+                fits.chosen(name)
+            except UsageError as error:
+                key = "transform.fit" if name else "transform.strength"
+                self._add(key, Refusal(f"needs a fit ({error})", "flat, felt, rig"))
         for number, rule in enumerate(self.arrays[APPLICATION], 1):
             profile = rule.get("profile") or self.profile
             found = self._contradictions(TransformParameters, profile)

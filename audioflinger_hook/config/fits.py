@@ -2,7 +2,7 @@
 
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any
 import tomlkit
 
 from audioflinger_hook.service.install import state_folder
-from audioflinger_hook.transform.parameters import FIT_NAME
+from audioflinger_hook.transform.parameters import FIT_NAME, FitText
 from device.address import parse_device
 from device.atomic_file import remove_file, write_private
 from device.errors import CushionError, UsageError
@@ -44,57 +44,33 @@ class Fit:
         return ",".join(f"{hz}:{db:.2f}" for hz, db in self.curve_db.items())
 
 
-def folder() -> Path:
-    """Return the folder of the fits. UsageError: see `state_folder`."""
-    return state_folder() / "fit"
-
-
-def name_for(device: str) -> str:
-    """Return the usual name of a device's fit. device: its address, "" for a simulation."""
-    return re.sub(r"[^\w.+-]", "-", device) or "simulated"
-
-
 def path_of(name: str) -> Path:
-    """Return the path of a fit. UsageError: this cannot be a name."""
+    """Return the path of a fit. UsageError: this cannot be a name; see also `state_folder`."""
     if not re.fullmatch(FIT_NAME, name) or len(name) > 200:
         allowed = "letters, digits and . _ + -"
         raise UsageError(f"a fit cannot be named {name[:80]!r}; allowed: {allowed}")
-    return folder() / f"{name}{SUFFIX}"
+    return state_folder() / "fit" / f"{name}{SUFFIX}"
 
 
 def read(name: str) -> Fit:
     """Return a fit. UsageError: there is none of this name, or its file is damaged."""
     path = path_of(name)
     try:
-        known = tomllib.loads(path.read_text("utf-8"))
-        curves = [
-            {f"{float(hz):g}": float(db) for hz, db in known[key].items()}
-            for key in ("curve_db", "uncertainty_db")
-        ]
-        ascending = [*curves[0]] == sorted(curves[0], key=float) and len(curves[0]) > 1
-        if not ascending or not all(abs(level_db) < 1e3 for level_db in curves[0].values()):
+        fit = Fit(name, **tomllib.loads(path.read_text("utf-8")))
+        is_whole = fit.curve_db.keys() == fit.uncertainty_db.keys() and fit.jnd_db >= 0.0
+        if not is_whole or ":" not in fit.curve or FitText("").refuse(fit.curve):
             raise ValueError("no curve")
-        return Fit(
-            name=name,
-            device=str(known["device"]),
-            made=str(known["made"]),
-            curve_db=curves[0],
-            uncertainty_db=curves[1],
-            jnd_db=float(known["jnd_db"]),
-            trials=tuple(known["trials"]),
-        )
     except FileNotFoundError:
         raise UsageError(no_such("fit", name, names(), MAKE)) from None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, TypeError, AttributeError) as error:
         why = error.strerror if isinstance(error, OSError) else "damaged"
         raise UsageError(f"the fit {path} cannot be read ({why}); make it again") from None
+    return fit
 
 
 def names() -> list[str]:
     """Return the names of all fits."""
-    with suppress(OSError):
-        return sorted(path.stem for path in folder().glob(f"*{SUFFIX}"))
-    return []
+    return sorted(path.stem for path in (state_folder() / "fit").glob(f"*{SUFFIX}"))
 
 
 def chosen(name: str = "", device: str | None = None) -> Fit:
@@ -105,21 +81,15 @@ def chosen(name: str = "", device: str | None = None) -> Fit:
     """
     if name:
         return read(name)
-    fits = sorted(_readable(), key=lambda one: one.made)
-    address = str(parse_device(device)) if device else ""
-    of_device = [one for one in fits if one.device == address or not device]
-    if of_device:
-        return of_device[-1]
-    others = f'; or choose another with fit = "NAME": {", ".join(names())}' if fits else ""
-    raise UsageError(
-        f"no fit is stored{f' for the device {address}' if device else ''}; {MAKE}{others}"
-    )
-
-
-def _readable() -> Iterator[Fit]:
-    for name in names():
+    address, found = str(parse_device(device)) if device else "", []
+    for one in names():
         with suppress(CushionError):
-            yield read(name)
+            found.append(read(one))
+    if own := [fit for fit in found if fit.device == address or not device]:
+        return max(own, key=lambda fit: fit.made)
+    others = f'; or choose another with fit = "NAME": {", ".join(names())}' if found else ""
+    where = f" for the device {address}" if device else ""
+    raise UsageError(f"no fit is stored{where}; {MAKE}{others}")
 
 
 def store(fit: Fit) -> Path:
@@ -127,19 +97,19 @@ def store(fit: Fit) -> Path:
 
     UsageError, WriteError: the file cannot be written.
     """
-    path = path_of(fit.name)
+    path, values = path_of(fit.name), asdict(fit)
     document = tomlkit.document()
     document.add(tomlkit.comment("Written by `cushion fit`. Sensitivity in dB relative to 70 Hz."))
-    for key, value in asdict(fit).items():
-        if key not in ("name", "trials"):
-            document.add(key, dict(value) if isinstance(value, Mapping) else value)
     rows = tomlkit.array()
-    for trial in fit.trials:
-        rows.add_line(dict(trial))
+    for trial in values.pop("trials"):
+        rows.add_line(trial)
     rows.add_line()
-    document.add("trials", rows)
+    del values["name"]
+    tables = {key: values.pop(key) for key in ("curve_db", "uncertainty_db")}
+    for key, value in {**values, "trials": rows, **tables}.items():
+        document.add(key, value)
     if path.exists():
-        write_private(folder() / BEFORE / path.name, path.read_bytes())
+        write_private(path.parent / BEFORE / path.name, path.read_bytes())
     write_private(path, tomlkit.dumps(document).encode())
     return path
 
@@ -152,9 +122,8 @@ def undo(name: str) -> bool:
     path = path_of(name)
     if not path.exists():
         raise UsageError(no_such("fit", name, names(), MAKE))
-    try:
-        (folder() / BEFORE / path.name).replace(path)
-    except FileNotFoundError:
-        remove_file(path)
-        return False
-    return True
+    with suppress(FileNotFoundError):
+        (path.parent / BEFORE / path.name).replace(path)
+        return True
+    remove_file(path)
+    return False

@@ -5,9 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.config import fits
 from audioflinger_hook.sources import parse_tap
-from audioflinger_hook.transform.parameters import FitText
 from device.errors import UsageError
 from device.rig.rig import SHIPPED, SUFFIX, read_rig
 from device.values import Description, Refusal, Text
@@ -35,22 +33,6 @@ class RigName(Text):
         try:
             read_rig(value)
         except (UsageError, ValueError) as error:  # ValueError: an invalid path
-            return Refusal(f"cannot be used ({error})", self.allowed)
-        return None
-
-
-@dataclass(frozen=True)
-class FitName(FitText):
-    """The name of a stored fit, or a curve."""
-
-    def refuse(self, value: object) -> Refusal | None:
-        """Return why the fit cannot be used; None if the value is allowed."""
-        refusal = super().refuse(value)
-        if refusal or not value or ":" in str(value):
-            return refusal
-        try:
-            fits.read(str(value))
-        except UsageError as error:
             return Refusal(f"cannot be used ({error})", self.allowed)
         return None
 

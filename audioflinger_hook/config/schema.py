@@ -4,11 +4,9 @@ from dataclasses import MISSING, dataclass, replace
 from typing import Any
 
 from audioflinger_hook.config.applications import ApplicationRule
-from audioflinger_hook.config.kinds import FitName
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, values_of
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.parameters import FitText
 from device.drive import ActuatorSettings
 from device.values import Choice, Described, Description, Number, Switch
 
@@ -138,8 +136,6 @@ def _keys() -> tuple[Key, ...]:
         for field, described in owner.DESCRIPTIONS.items():
             if owner is ActuatorSettings and field == "rig":  # `Settings` reads the rig file
                 described = replace(Settings.DESCRIPTIONS["rig"], meaning=described.meaning)
-            elif isinstance(described, FitText):  # here its file is read
-                described = FitName(described.meaning)
             default = getattr(owner, field, MISSING)
             default = live_default = None if default is MISSING else default
             if field == "profile" and owner is Settings:

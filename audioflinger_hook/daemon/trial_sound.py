@@ -42,9 +42,8 @@ class TrialSound:
                 f"{path.name} is not a trial: float32 within ±1, 1 to {most} frames of {COLUMNS} "
                 "columns"
             )
-        fade = FADE[:: max(1, -(-len(FADE) * 2 // len(frames)))][: len(frames) // 2, None]
-        frames[: len(fade)] *= fade
-        frames[len(frames) - len(fade) :] *= fade[::-1]
+        ends = np.minimum(np.arange(len(frames)), np.arange(len(frames))[::-1])
+        frames *= FADE[np.minimum(ends, len(FADE) - 1), None]
         shift = round(lead_s * RATE_HZ)
         self._frames = np.zeros((len(frames) + abs(shift), CHANNELS), np.float32)
         for columns, begin in ((slice(0, 2), max(0, -shift)), (slice(2, 3), max(0, shift))):

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
+from scipy.special import ndtr, softmax
 
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.design.sensitivity import felt_weight
@@ -42,6 +42,23 @@ def resonance_db(hz: Floats, resonance_hz: float, q: float) -> Floats:
     return np.asarray(-20.0 * np.log10(np.hypot(1.0 - ratio**2, ratio / q)))
 
 
+def _prior() -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the mean, probability and decision noise of each hypothesis, and all's covariance."""
+    hz = np.append(TEST_HZ, REFERENCE_HZ)
+    octaves = np.log2(hz / REFERENCE_HZ)
+    apart = (octaves[:, None] - octaves) / SMOOTH_OCTAVES
+    covariance = SMOOTH_DB**2 * np.exp(-0.5 * apart**2) + ROUGH_DB**2 * np.eye(hz.size)
+    covariance += TILT_DB**2 * np.outer(octaves, octaves)
+    body = FELT_SHARE * 20.0 * np.log10(felt_weight(TransformParameters(strength="felt"), hz))
+    rigs = [resonance_db(hz, peak_hz, q) for peak_hz in RESONANCES_HZ for q in RESONANCE_QS]
+    means = np.array([body, *(body + rig for rig in rigs)])
+    shares = np.append(SMOOTH_SHARE, np.full(len(rigs), (1.0 - SMOOTH_SHARE) / len(rigs)))
+    relative = np.hstack((np.eye(TEST_HZ.size), -np.ones((TEST_HZ.size, 1))))
+    noises = NOISES_DB.size
+    each = np.repeat(means @ relative.T, noises, axis=0), np.repeat(shares / noises, noises)
+    return *each, np.tile(NOISES_DB, len(means)), relative @ covariance @ relative.T
+
+
 class CurvePosterior:
     """What the answers so far say about a person's curve. All levels are in dB.
 
@@ -50,26 +67,9 @@ class CurvePosterior:
     """
 
     def __init__(self) -> None:
-        hz = np.append(TEST_HZ, REFERENCE_HZ)
-        octaves = np.log2(hz / REFERENCE_HZ)
-        apart = (octaves[:, None] - octaves) / SMOOTH_OCTAVES
-        covariance = SMOOTH_DB**2 * np.exp(-0.5 * apart**2) + ROUGH_DB**2 * np.eye(hz.size)
-        covariance += TILT_DB**2 * np.outer(octaves, octaves)
-        body = FELT_SHARE * 20.0 * np.log10(felt_weight(TransformParameters(strength="felt"), hz))
-        means, shares = [body], [SMOOTH_SHARE]
-        each = (1.0 - SMOOTH_SHARE) / (RESONANCES_HZ.size * len(RESONANCE_QS))
-        for resonance_hz in RESONANCES_HZ:
-            for q in RESONANCE_QS:
-                means.append(body + resonance_db(hz, resonance_hz, q))
-                shares.append(each)
-        relative = np.hstack((np.eye(TEST_HZ.size), -np.ones((TEST_HZ.size, 1))))
-        noises = NOISES_DB.size
-        self._means = np.repeat(np.array(means) @ relative.T, noises, axis=0)
-        self._covariances = np.repeat(
-            (relative @ covariance @ relative.T)[None], len(self._means), axis=0
-        )
-        self._noises = np.tile(NOISES_DB, len(means))
-        self._log_shares = np.log(np.repeat(shares, noises) / noises)
+        self._means, shares, self._noises, covariance = _prior()
+        self._covariances = np.repeat(covariance[None], len(self._means), axis=0)
+        self._log_shares = np.log(shares)
         self.evidence = self.catch_evidence = 0.0
 
     @property
@@ -80,9 +80,8 @@ class CurvePosterior:
     @property
     def uncertainty_db(self) -> Floats:
         """Standard deviation of `curve_db`."""
-        variances = np.einsum("hii->hi", self._covariances) + self._means**2
-        left: Floats = self._shares @ variances - self.curve_db**2
-        return np.asarray(np.sqrt(np.maximum(0.0, left)))
+        squares = np.einsum("hii->hi", self._covariances) + self._means**2
+        return np.asarray(np.sqrt(np.maximum(0.0, self._shares @ squares - self.curve_db**2)))
 
     @property
     def jnd_db(self) -> float:
@@ -91,8 +90,7 @@ class CurvePosterior:
 
     @property
     def _shares(self) -> Floats:
-        shares = np.exp(self._log_shares - self._log_shares.max())
-        return np.asarray(shares / shares.sum())
+        return np.asarray(softmax(self._log_shares))
 
     def add(self, index: int | None, level_db: float, stronger: float) -> None:
         """Take an answer.
@@ -101,28 +99,25 @@ class CurvePosterior:
         level_db: level of the test relative to the reference.
         stronger: 1 if the test was stronger, 0 if the reference was, 0.5 for "don't know".
         """
-        is_test = index is not None
-        above = level_db + self._means[:, index or 0] * is_test
-        variance = self._covariances[:, index or 0, index or 0] * is_test
-        spread = np.sqrt(self._noises**2 + variance)
+        is_test, i = index is not None, index or 0
+        above = level_db + self._means[:, i] * is_test
+        variance = self._covariances[:, i, i] * is_test
         sign = 1.0 if stronger >= 0.5 else -1.0
-        z = sign * above / spread
-        chance = 0.5 * LAPSES + (1.0 - LAPSES) * ndtr(z)
+        chance, density, z, spread = _chances(sign * above, variance, self._noises)
         likelihood = np.sqrt(chance * (1.0 - chance)) if stronger == 0.5 else chance
         evidence = float(np.log(2.0 * (self._shares @ likelihood)))
         self.evidence += evidence
+        self.catch_evidence += 0.0 if is_test else evidence
         self._log_shares += np.log(likelihood)
-        if index is None:
-            self.catch_evidence += evidence
+        if not is_test:
             return
         if stronger == 0.5:  # a measurement of 0
             gains = 1.0 / (variance + self._noises**2 / EQUAL_INFORMATION)
             first, second = -above * gains, -gains
         else:
-            density = (1.0 - LAPSES) * np.exp(-0.5 * z**2) / (np.sqrt(2.0 * np.pi) * spread)
             first = sign * density / chance  # derivatives of log chance by the mean
             second = -z / spread * density / chance - first**2
-        column = self._covariances[:, :, index].copy()
+        column = self._covariances[:, :, i].copy()
         self._means += column * first[:, None]
         self._covariances += column[:, :, None] * column[:, None, :] * second[:, None, None]
 
@@ -137,11 +132,9 @@ class CurvePosterior:
         covariances, noises = self._covariances[counts], self._noises[counts]
         shares /= shares.sum()
         levels = np.minimum(np.round(-(shares @ means))[:, None] + OFFSETS_DB, most_db)
-        variances = np.einsum("hii->hi", covariances)
-        spread = np.sqrt(noises[:, None] ** 2 + variances)[:, :, None]
-        z = (means[:, :, None] + levels) / spread
-        chance = 0.5 * LAPSES + (1.0 - LAPSES) * ndtr(z)
-        density = (1.0 - LAPSES) * np.exp(-0.5 * z**2) / (np.sqrt(2.0 * np.pi) * spread)
+        variances = np.einsum("hii->hi", covariances)[:, :, None]
+        above = means[:, :, None] + levels
+        chance, density, _, _ = _chances(above, variances, noises[:, None, None])
         moved = np.einsum("h,hix,hji->ixj", shares, density, covariances, optimize=True)
         # The expected square of the mean grows by as much as the expected variance falls.
         squares = np.zeros(levels.shape)
@@ -152,8 +145,17 @@ class CurvePosterior:
         return int(index), float(levels[index, place])
 
 
-def named_by_hz(values: Floats, *, reference: float | None = None) -> Mapping[str, float]:
-    """Return values at TEST_HZ, rounded to 0.01, with Hz as keys; and the reference's, if given."""
-    points = list(zip(TEST_HZ, values, strict=True))
-    points += [] if reference is None else [(REFERENCE_HZ, reference)]
-    return {f"{hz:g}": round(float(value), 2) for hz, value in sorted(points)}
+def _chances(
+    above: Floats, variance: Floats, noises: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the chance that a difference is felt, its derivative, and above/spread and spread."""
+    spread = np.sqrt(noises**2 + variance)
+    z = above / spread
+    density = (1.0 - LAPSES) * np.exp(-0.5 * z**2) / (np.sqrt(2.0 * np.pi) * spread)
+    return 0.5 * LAPSES + (1.0 - LAPSES) * ndtr(z), density, z, spread
+
+
+def named_by_hz(values: Floats) -> Mapping[str, float]:
+    """Return values at TEST_HZ, rounded to 0.01, with Hz as keys; and 0 at REFERENCE_HZ."""
+    points = sorted([*zip(TEST_HZ, values, strict=True), (REFERENCE_HZ, 0.0)])
+    return {f"{hz:g}": round(float(value), 2) for hz, value in points}

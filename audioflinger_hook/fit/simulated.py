@@ -1,8 +1,8 @@
 """A simulated person with a known curve, who answers in place of a person."""
 
 import json
+import re
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,36 +14,31 @@ from audioflinger_hook.fit.curve import REFERENCE_HZ
 from audioflinger_hook.fit.session import FIRST, SECOND, Trial
 from audioflinger_hook.trials.simulated import drawn, people_file, with_lapses
 from device.errors import UsageError
-from device.values import Described, Description, Number, Refusal, no_such
+from device.values import Described, Number, Refusal, Text, no_such
 
 HZ, DB = Number("frequency", 10.0, 1_000.0, "Hz"), Number("sensitivity", -100.0, 100.0, "dB")
+NUMBER = r"\d{1,5}(\.\d*)?"
 EXAMPLE = '{"curve_db": {"25": -6.0, "70": 0.0, "200": 4.0}, "jnd_db": 1.5}'
 
 
 @dataclass(frozen=True)
-class Curve(Description):
+class Curve(Text):
     """A table of sensitivities in dB, with frequencies in Hz as keys."""
 
-    @property
-    def allowed(self) -> str:
-        """The form, and both ranges."""
-        return f'{{"HZ": DB, ...}}, frequencies of {HZ.allowed}, {DB.allowed}'
+    grammar: str = f'{{"HZ": DB, ...}}, frequencies of {HZ.allowed}, {DB.allowed}'
 
     def refuse(self, value: object) -> Refusal | None:
-        """Refuse an empty table, and name each frequency and sensitivity that is out of range."""
+        """Refuse an empty table, and name each wrong frequency or sensitivity."""
         if not isinstance(value, dict) or not value:
             return Refusal("is not a table of frequencies", self.allowed)
-        found, hz = [], [_number(text) for text in value]
-        for text, one, level_db in zip(value, hz, value.values(), strict=True):
-            what = f"has {json.dumps(text)[:40]}: {json.dumps(level_db)[:40]}, whose"
-            found += [f"{what} frequency {no.wrong}" for no in [HZ.refuse(one)] if no]
-            found += [f"{what} sensitivity {no.wrong}" for no in [DB.refuse(level_db)] if no]
-        found += ["has a frequency twice"] if len({*hz}) < len(hz) else []
+        hz = {text: float(text) if re.fullmatch(NUMBER, text) else None for text in value}
+        found = [
+            f"has {json.dumps(text)[:40]}: {json.dumps(level_db)[:40]}"
+            for text, level_db in value.items()
+            if HZ.refuse(hz[text]) or DB.refuse(level_db)
+        ]
+        found += ["has a frequency twice"] if not found and len({*hz.values()}) < len(hz) else []
         return Refusal(", ".join(found), self.allowed) if found else None
-
-    def json_schema(self) -> dict[str, Any]:
-        """Return the schema of the table."""
-        return {"type": "object", "additionalProperties": DB.json_schema()}
 
     def typed(self, value: Any) -> Any:
         """Return the table with ascending frequencies as numbers."""
@@ -68,30 +63,23 @@ class SimulatedSitter(Described):
     def answer(self, trial: Trial) -> dict[str, Any]:
         """Return the answer to a trial."""
         octaves, level_db = np.log2([*self.curve_db]), [*self.curve_db.values()]
-        test, reference = np.interp(np.log2([trial.hz, REFERENCE_HZ]), octaves, level_db)
-        stronger = ndtr((test - reference + trial.level_db) / self.jnd_db)
+        test, reference = np.interp(np.log2([trial["hz"], REFERENCE_HZ]), octaves, level_db)
+        stronger = ndtr((test - reference + trial["level_db"]) / self.jnd_db)
         chances = with_lapses(np.array([stronger, 1.0 - stronger]), self.lapse)
         # apart from the session's stream of [seed, number], which draws the trial itself
-        is_weaker = drawn(chances, np.random.default_rng([self.seed, trial.number, 7]))
-        return {"answer": SECOND if is_weaker == trial.test_first else FIRST}
+        is_weaker = drawn(chances, np.random.default_rng([self.seed, trial["trial"], 7]))
+        return {"answer": SECOND if is_weaker == trial["test_first"] else FIRST}
 
 
 def read_sitter(path: Path) -> SimulatedSitter:
     """Read a file such as EXAMPLE. UsageError: it has mistakes; the message names all of them."""
     try:
-        known = people_file(path)
+        found = people_file(path)
     except UsageError as error:
         raise UsageError(f"{error}; allowed: {EXAMPLE}") from None
-    known_keys = SimulatedSitter.DESCRIPTIONS
-    wrong = [no_such("key", key[:40], known_keys, "") for key in known if key not in known_keys]
-    refused = SimulatedSitter.refusals(known)
-    wrong += [f"{name} {refusal}" for name, refusal in refused.items()]
-    if wrong:
+    known = SimulatedSitter.DESCRIPTIONS
+    wrong = [no_such("key", key[:40], known, "") for key in found if key not in known]
+    refused = SimulatedSitter.refusals(found).items()
+    if wrong := [*wrong, *(f"{name} {refusal}" for name, refusal in refused)]:
         raise UsageError(f"the sitter {path}: {'; '.join(wrong)}")
-    return SimulatedSitter.from_values(known)
-
-
-def _number(text: str) -> float:
-    with suppress(ValueError):
-        return float(text)
-    return np.nan
+    return SimulatedSitter.from_values(found)

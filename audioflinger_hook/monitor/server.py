@@ -42,10 +42,12 @@ CONTROL_PAUSE_S = 0.02  # pause after each request that is forwarded to the daem
 
 SCRIPTS = (
     *("page", "connection", "elements", "drawing", "meters", "mapping", "waterfall", "controls"),
-    *("figures", "applications", "sync"),
+    *("figures", "applications", "sync", "trial", "jspsych"),
 )
 FILES = {  # URL path: (file, content type)
     "/": ("index.html", "text/html; charset=utf-8"),
+    "/trial": ("trial.html", "text/html; charset=utf-8"),
+    "/trial.css": ("trial.css", "text/css; charset=utf-8"),
     "/style.css": ("style.css", "text/css; charset=utf-8"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
     **{f"/{name}.js": (f"{name}.js", "text/javascript; charset=utf-8") for name in SCRIPTS},
@@ -65,25 +67,17 @@ SECURITY = {
 }
 
 
-TRIAL_FILES = {  # of a page for trials, which replaces the live page
-    "/trial": ("trial.html", "text/html; charset=utf-8"),
-    "/trial.css": ("trial.css", "text/css; charset=utf-8"),
-    **{f"/{name}.js": (f"{name}.js", FILES["/page.js"][1]) for name in ("trial", "jspsych")},
-    **{path: FILES[path] for path in ("/style.css", "/icon.svg", "/connection.js", "/elements.js")},
-}
-
-
 class TrialPage(Protocol):
-    """Asks a person questions on the page. The event loop's thread calls the methods."""
+    """Asks a person on the page `/trial`. The event loop's thread calls the methods.
 
-    def joined(self) -> None:
-        """Note that a page has connected."""
+    joined, left: a page has connected or gone. take: takes what it says, returns what it is told.
+    """
 
-    def left(self) -> None:
-        """Note that a page has gone."""
+    def joined(self) -> None: ...  # noqa: D102
 
-    def take(self, said: object) -> dict[str, Any]:
-        """Take what a page says, and return what it is told."""
+    def left(self) -> None: ...  # noqa: D102
+
+    def take(self, said: object) -> dict[str, Any]: ...  # noqa: D102
 
 
 class PageServer:
@@ -111,8 +105,7 @@ class PageServer:
         self._read_s = 0.0  # time at which the messages so far are read at MESSAGES_PER_S
         static = files("audioflinger_hook.monitor").joinpath("static")
         self._files = {
-            path: (static.joinpath(name).read_bytes(), kind)
-            for path, (name, kind) in (TRIAL_FILES if trial else FILES).items()
+            path: (static.joinpath(name).read_bytes(), kind) for path, (name, kind) in FILES.items()
         }
 
     def show_trial(self, screen: dict[str, Any]) -> None:

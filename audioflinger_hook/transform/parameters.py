@@ -28,12 +28,11 @@ class FitText(Text):
 
     def refuse(self, value: object) -> Refusal | None:
         """Refuse what is neither a name nor a curve; "" is the default."""
-        if value == "" or (isinstance(value, str) and re.fullmatch(FIT_NAME, value)):
+        text = value if isinstance(value, str) else ":"
+        is_curve = re.fullmatch(f"{FIT_POINT}(,{FIT_POINT})+", text)
+        hz = [hz for hz, _ in fit_points(text)] if is_curve else []
+        if re.fullmatch(f"({FIT_NAME})?", text) or (hz and hz == sorted({*hz})):
             return None
-        if isinstance(value, str) and re.fullmatch(f"{FIT_POINT}(,{FIT_POINT})+", value):
-            hz = [hz for hz, _ in fit_points(value)]
-            if hz == sorted({*hz}):
-                return None
         return Refusal("is not the name of a fit", self.allowed)
 
     def json_schema(self) -> dict[str, Any]:

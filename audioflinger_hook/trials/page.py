@@ -3,10 +3,9 @@
 import asyncio
 import os
 import threading
-from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from device.errors import CushionError, LostError, UsageError, not_installed
@@ -21,34 +20,22 @@ Screen = dict[str, Any]
 Found = TypeVar("Found")
 
 AGAIN, UNKNOWN = ("again", "Again", "a"), ("unknown", "Don't know", "d")
+_EMPTY: Screen = {"choices": (), "also": (), "labels": (), "done": 0, "total": 0, "practice": False}
 
 
-def screen(
-    kind: Kind,
-    title: str,
-    *text: str,
-    choices: Iterable[Choice] = (),
-    also: Iterable[Choice] = (),
-    labels: Iterable[str] = (),
-    done: int = 0,
-    total: int = 0,
-    practice: bool = False,
-) -> Screen:
+def screen(kind: Kind, title: str, *text: str, **more: Any) -> Screen:
     """Return one screen of the page.
 
     kind: "choice" has large buttons, "one of" many, "slider" a rating from 0 to 100, "text" text to
-    read with buttons below; "playing" takes no answer. text: paragraphs. also: smaller buttons.
-    labels: texts below the slider, from left to right. done, total: trials, for the progress bar;
-    total 0 hides it. practice: whether to say that this is practice.
+    read with buttons below; "playing" takes no answer. text: paragraphs. more: choices: large
+    buttons. also: smaller ones. labels: texts below the slider, from left to right. done, total:
+    trials, for the progress bar. practice: whether to say that it is.
     """
-    shown = {"kind": kind, "title": title, "text": text, "done": done, "total": total}
-    rows = {"choices": [*choices], "also": [*also], "labels": [*labels]}
-    return {**shown, **rows, "practice": practice}
+    return {**_EMPTY, "kind": kind, "title": title, "text": text, **more}
 
 
-@dataclass(frozen=True)
-class Answer:
-    """A person's answer. value: of the choice, or 0 to 100 of a slider.
+class Answer(NamedTuple):
+    """A person's answer. value: of the button, or 0 to 100 of a slider.
 
     after_s: time from the screen's first drawing to the answer, by the page's clock, without
     pauses. pauses: number of pauses meanwhile.
@@ -66,14 +53,12 @@ class StoppedError(LostError):
 class PageAnswers:
     """Serves the page in a thread until `close`.
 
-    If the person pauses, stops or closes the page, `on_stop` is called at once, in another thread:
-    give `DaemonPlayer.stop`. tell: called in that thread with the page's address, which opens it
-    once, and with another address while the page is closed. clock: returns the time of day.
-    listen: HOST:PORT. UsageError: a package is not installed.
+    on_stop: called at once in this thread if the person pauses, stops or closes the page. tell:
+    called with the page's address, which opens it once, and with another while it is closed.
+    clock: returns the time of day. listen: HOST:PORT. UsageError: a package is not installed.
 
-    Errors of `ask` and `wait`, after which all recorded answers are valid: StoppedError: the person
-    ends the session. LostError: the page was closed for RETURN_S. UsageError: the address cannot be
-    used.
+    Errors of `ask` and `wait`: StoppedError: the person ends the session. LostError: the page was
+    closed for RETURN_S. UsageError: the address cannot be used.
     """
 
     def __init__(
@@ -89,11 +74,10 @@ class PageAnswers:
             from audioflinger_hook.monitor.server import PageServer
         except ModuleNotFoundError as error:
             raise UsageError(not_installed(str(error.name), "study")) from error
-        self._on_stop, self._told = on_stop, tell
+        self._on_stop, self._told, self._pages = on_stop, tell, 0
         self._screen: Screen = {"number": 0, "paused": False}
         self._address: Callable[[], str] = str
-        self._loop, self._pages = asyncio.new_event_loop(), 0
-        self._ready = asyncio.Event()
+        self._loop, self._ready = asyncio.new_event_loop(), asyncio.Event()
         self._answer: asyncio.Future[Answer] = self._loop.create_future()
         self._ended: asyncio.Future[CushionError] = self._loop.create_future()
         self._leaving: asyncio.TimerHandle | None = None
@@ -123,45 +107,41 @@ class PageAnswers:
 
     def show(self, shown: Screen) -> None:
         """Show a screen without an answer, such as one of kind "playing"; return at once."""
-        self._wait_for(self._show(shown))
+
+        async def show() -> None:
+            self._answer = self._loop.create_future()
+            self._tell({**shown, "number": self._screen["number"] + 1})
+
+        asyncio.run_coroutine_threadsafe(show(), self._loop).result()
 
     def ask(self, shown: Screen) -> Answer:
         """Show a question; return its answer. A pause does not end the question."""
-
-        async def answer() -> Answer:
-            await self._show(shown)
-            return await self._unless_ended(self._answer)
-
-        return self._wait_for(answer())
+        self.show(shown)
+        return self._unless_ended(self._answer)
 
     def wait(self) -> None:
         """Return when the page is open and not paused."""
-        self._wait_for(self._unless_ended(self._ready.wait()))
+        self._unless_ended(self._ready.wait())
 
     def close(self) -> None:
         """Stop serving the page, which keeps its last screen. May be repeated."""
-        if self._thread.is_alive():
-            end = lambda: self._loop.call_later(LAST_S, self._task.cancel)  # noqa: E731
-            self._loop.call_soon_threadsafe(end)
+        with suppress(RuntimeError):  # the loop is closed
+            self._loop.call_soon_threadsafe(self._loop.call_later, LAST_S, self._task.cancel)
         self._thread.join()
 
-    def _wait_for(self, work: Coroutine[Any, Any, Found]) -> Found:
-        return asyncio.run_coroutine_threadsafe(work, self._loop).result()
+    def _unless_ended(self, work: Coroutine[Any, Any, Found] | asyncio.Future[Found]) -> Found:
+        async def first() -> Found:
+            wanted = asyncio.ensure_future(work)
+            both: set[asyncio.Future[Any]] = {wanted, self._ended}
+            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
+            if self._ended.done():
+                wanted.cancel()
+                raise self._ended.result()
+            return wanted.result()
+
+        return asyncio.run_coroutine_threadsafe(first(), self._loop).result()
 
     # ---------------------------------------------------------------- called by the page's thread
-
-    async def _show(self, shown: Screen) -> None:
-        self._answer = self._loop.create_future()
-        self._tell({**shown, "number": self._screen["number"] + 1})
-
-    async def _unless_ended(self, work: Awaitable[Found]) -> Found:
-        wanted = asyncio.ensure_future(work)
-        both: set[asyncio.Future[Any]] = {wanted, self._ended}
-        await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
-        if self._ended.done():
-            wanted.cancel()
-            raise self._ended.result()
-        return wanted.result()
 
     def _tell(self, changed: Screen) -> None:
         self._screen = {"paused": self._screen["paused"], **changed}
@@ -202,6 +182,7 @@ class PageAnswers:
 
     def take(self, said: object) -> dict[str, Any]:
         """Take what a page says, and return what it is told."""
+        now = _EMPTY | self._screen
         match said:
             case {"paused": bool(paused)}:
                 self._pause(paused)
@@ -209,9 +190,8 @@ class PageAnswers:
                 self._end(StoppedError("the session was stopped on the page; all answers are kept"))
                 self._pause(True)
             case {"number": number, "value": value, "after_s": float(s) | int(s), "pauses": int(n)}:
-                now = self._screen
                 is_known = value in [one[0] for one in (*now["choices"], *now["also"])]
-                is_slid = now["kind"] == "slider" and type(value) in (int, float)
+                is_slid = now.get("kind") == "slider" and type(value) in (int, float)
                 if number != now["number"] or not (is_known or (is_slid and 0 <= value <= 100)):
                     return {"error": "this question is not open any more"}
                 if not self._answer.done():

@@ -16,10 +16,7 @@ Interval = tuple[Frames, Frames, Screen]  # sound, vibration, and the screen whi
 
 
 class TerminalAnswers:
-    """Asks on the terminal, with `ask`, `show` and `wait` of `PageAnswers`.
-
-    keys: `pressed_keys` of the terminal.
-    """
+    """Asks on the terminal, as `PageAnswers` on a page. keys: `pressed_keys` of the terminal."""
 
     def __init__(self, keys: Callable[[float], str]) -> None:
         self._keys = keys
@@ -30,15 +27,16 @@ class TerminalAnswers:
 
     def ask(self, shown: Screen) -> Answer:
         """Print a question with its keys; return the answer."""
-        offered = {key: (value, label) for value, label, key in shown["choices"] + shown["also"]}
-        keys = ", ".join(f"{key} {label.lower()}" for key, (_, label) in offered.items())
+        rows = *shown["choices"], *shown["also"]
+        offered = {key: value for value, _, key in rows}
+        keys = ", ".join(f"{key} {label.lower()}" for _, label, key in rows)
         while self._keys(0.0):  # pressed before the question
             pass
         told = *shown["text"], f"{shown['title']} ({keys})"
         print(*told, sep="\n", file=sys.stderr, flush=True)
         while (pressed := self._keys(60.0).lower()) not in offered:
             pass
-        return Answer(offered[pressed][0])
+        return Answer(offered[pressed])
 
     def wait(self) -> None:
         """Return at once: a terminal has no pause."""
@@ -61,10 +59,7 @@ class Person:
         while True:
             self.answers.wait()
             felt = self._player.status().exposure
-            if felt and (
-                felt.a8_m_s2 >= EXPOSURE_SHARE * ACTION_A8_M_S2
-                or felt.vdv >= EXPOSURE_SHARE * ACTION_VDV
-            ):
+            if felt and max(felt.a8_m_s2 / ACTION_A8_M_S2, felt.vdv / ACTION_VDV) >= EXPOSURE_SHARE:
                 raise UsageError(
                     f"today's exposure is A(8) {felt.a8_m_s2:.2g} m/s²; trials may use half of the "
                     "action value; go on tomorrow, all answers are kept"
@@ -88,17 +83,16 @@ class Person:
     ) -> tuple[list[Played], dict[str, Any]]:
         """Play intervals, again as often as the person asks; return what was played last.
 
-        intervals: called before each playing. is_valid: whether an interval counts; if not, all
-        are played again. Further results: columns "answer", "answered_after_s", "again" and
-        "pauses" of the record.
+        intervals: called before each playing. is_valid: whether an interval counts; if not, all are
+        played again. Second result: "answer", "answered_after_s", "again" and "pauses".
         """
         again = 0
         while True:
             played = [self.play(*interval) for interval in intervals()]
             if not all(map(is_valid, played)):
                 continue
-            given = self.answers.ask(question)
-            if given.value != AGAIN[0]:
-                about = {"answered_after_s": given.after_s, "again": again, "pauses": given.pauses}
-                return played, {"answer": given.value, **about}
+            value, after_s, pauses = self.answers.ask(question)
+            if value != AGAIN[0]:
+                about = {"answered_after_s": after_s, "again": again, "pauses": pauses}
+                return played, {"answer": value, **about}
             again += 1

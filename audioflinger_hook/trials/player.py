@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import soundfile
 from scipy.signal import resample_poly
 
 from audioflinger_hook.config.file import names_a_device
@@ -18,7 +19,6 @@ from audioflinger_hook.service.install import own_command
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from audioflinger_hook.service.status import Status
 from audioflinger_hook.service.status_client import ask_control, ask_status
-from audioflinger_hook.sources.file import FileTap
 from device.address import parse_device
 from device.errors import CushionError, LostError, NotFoundError, UsageError, WriteError
 from device.process import started
@@ -30,7 +30,7 @@ ASK_S = 0.1  # between two questions whether the daemon is ready
 BEGINS_S = 20.0  # longest time until a daemon plays trials
 FADED_S = 0.3  # from the end of a trial to the end of its daemon, for the fade
 
-Frames = Path | Float32Array | None
+Frames = Path | Float32Array | None  # a file, or (frames, channels) at RATE_HZ
 
 
 class NotPlayedError(LostError):
@@ -41,8 +41,8 @@ class NotPlayedError(LostError):
 class Played:
     """What the daemon played. Times are in seconds of the audio clock (CLOCK_MONOTONIC).
 
-    sound_began_s, vibration_began_s: when the first frame is heard and felt; None without this
-    file. Both are equal: the daemon aligns them by its offset.
+    sound_began_s, vibration_began_s: when the first frame is heard and felt; None without it. Both
+    are equal: the daemon aligns them by its offset.
     seconds: duration that was played. stopped: whether `stop` ended it early, with a fade.
     level_dbfs: r.m.s. over the duration of the strongest actuator's signal: the vibration as sent
     to the device, after gain, damping and protection; at least -150.
@@ -72,7 +72,6 @@ class DaemonPlayer:
     def __init__(self, clock: Callable[[], float], environ: Mapping[str, str] = os.environ) -> None:
         self._clock, self._environ, self.why_not = clock, environ, ""
         self._who, self._closing = f"{os.getpid()}-{id(self):x}", threading.Event()
-        self._ask()
         self._renewing = threading.Thread(target=self._renew, name="trial-lease", daemon=True)
         self._renewing.start()
 
@@ -83,13 +82,10 @@ class DaemonPlayer:
     def play(self, sound: Frames, vibration: Frames) -> Played:
         """Play both from their first frames on; return after the end.
 
-        sound: file of 1 or 2 channels for the default output, or None. vibration: file of one
-        channel, in shares of full scale before the config's gain; or None. Frames at RATE_HZ,
-        (frames, channels), may replace a file. Both get raised-cosine ends of 50 ms. An asynchrony
-        of a study is silence at the beginning of one of them; together they take at most 120 s.
-
-        NotPlayedError: the device or the server was lost, or is not ready. The trial counts as not
-        played: call `wait`, then offer it again. UsageError: a file is not usable.
+        sound: for the default output, 1 or 2 channels. vibration: 1 channel, in shares of full
+        scale before the config's gain. Both get raised-cosine ends of 50 ms, and take at most
+        120 s. NotPlayedError: the device or the server was lost, or is not ready: the trial counts
+        as not played. UsageError: a file cannot be played.
         """
         with RuntimeFolder(self._environ, create=False) as folder:
             file = folder.path / f"trial-{self._who}.npy"
@@ -116,9 +112,12 @@ class DaemonPlayer:
             self._ask(stop=True)
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until the daemon can play a trial; return whether it can."""
+        """Wait until a daemon can play a trial; return whether it can. `why_not` says why not."""
         for _ in range(1 + round(timeout_s / ASK_S)):
-            self._ask()
+            try:
+                self._ask()
+            except NotFoundError as error:
+                self.why_not = str(error)
             if not self.why_not:
                 return True
             self._closing.wait(ASK_S)
@@ -126,11 +125,10 @@ class DaemonPlayer:
 
     def close(self) -> None:
         """End the trial that plays; tapped sound is felt again. May be repeated."""
-        if not self._closing.is_set():
-            self._closing.set()
-            self._renewing.join()
-            with suppress(CushionError):
-                self._ask(end=True)
+        self._closing.set()
+        self._renewing.join()
+        with suppress(CushionError):
+            self._ask(end=True)
 
     def _renew(self) -> None:
         while not self._closing.wait(RENEW_S):
@@ -151,31 +149,26 @@ class DaemonPlayer:
 def mixed(sound: Frames, vibration: Frames) -> Float32Array:
     """Return a trial's frames for the daemon, (frames, COLUMNS) at RATE_HZ; the shorter one ends.
 
-    UsageError: a file is not usable, or neither is given.
+    UsageError: a file cannot be played.
     """
-    if sound is None and vibration is None:
-        raise UsageError("a trial needs a sound or a vibration")
-    heard, felt = _read(sound, 2), _read(vibration, 1)
-    both = np.zeros((max(len(heard), len(felt)), COLUMNS), np.float32)
-    both[: len(heard), :2] = heard
-    both[: len(felt), 2:] = felt
-    return np.clip(both, -1.0, 1.0)
-
-
-def _read(source: Frames, most: int) -> Float32Array:
-    """Return frames at RATE_HZ, (frames, channels)."""
-    if not isinstance(source, Path):
-        return np.zeros((0, 1), np.float32) if source is None else source
     parts = []
-    with closing(FileTap(source)) as tap:
-        if tap.channels > most:
-            raise UsageError(f"{source} has {tap.channels} channels; allowed: up to {most}")
-        while (part := tap.read()) is not None:
-            parts.append(part)
-    frames = np.concatenate(parts)
-    if tap.samplerate != RATE_HZ:
-        frames = resample_poly(frames, RATE_HZ, tap.samplerate, axis=0).astype(np.float32)
-    return frames
+    for source, most in ((sound, COLUMNS - 1), (vibration, 1)):
+        frames = np.zeros((0, most), np.float32)
+        if isinstance(source, Path):
+            try:
+                frames, rate = soundfile.read(source, dtype="float32", always_2d=True)
+            except (soundfile.LibsndfileError, OSError) as error:
+                raise UsageError(f"{source} cannot be played ({error})") from None
+            if rate != RATE_HZ:
+                frames = resample_poly(frames, RATE_HZ, rate, axis=0)
+            if frames.shape[1] > most:
+                raise UsageError(f"{source} has {frames.shape[1]} channels; allowed: up to {most}")
+        elif source is not None:
+            frames = source
+        parts.append(np.broadcast_to(frames, (len(frames), most)))
+    both = np.zeros((max(map(len, parts)), COLUMNS), np.float32)
+    both[: len(parts[0]), :2], both[: len(parts[1]), 2:] = parts
+    return np.clip(both, -1.0, 1.0)
 
 
 @contextmanager
@@ -188,8 +181,8 @@ def opened(
     daemon's or the config's. clock: returns seconds. UsageError: no device is named, or the daemon
     plays to another. LostError: the daemon plays no trials.
     """
-    wanted, child = str(parse_device(device)) if device else "", None
-    pause = threading.Event().wait
+    wanted = str(parse_device(device)) if device else ""
+    command = [*own_command(), "run", *(["--device", wanted] if wanted else [])]
     with ExitStack() as stack:
         try:
             ask_status(ANSWER_S, clock, environ)
@@ -199,24 +192,16 @@ def opened(
                     "no device is named: give one with --device, see `cushion devices`, or try "
                     "simulated people with --simulate"
                 ) from None
-            command = [*own_command(), "run", *(["--device", wanted] if wanted else [])]
             child = started(command)
             stack.callback(child.wait)
             stack.callback(child.terminate)
-            stack.callback(pause, FADED_S)
-        for _ in range(round(BEGINS_S / ASK_S)):
-            if child is not None and child.poll() is not None:
-                raise LostError(f"the daemon has ended; see what `{shlex.join(command)}` says")
-            with suppress(NotFoundError):
-                player = stack.enter_context(closing(DaemonPlayer(clock, environ)))
-                break
-            pause(ASK_S)
-        else:
-            raise LostError("the daemon does not begin")
+            stack.callback(threading.Event().wait, FADED_S)
+        player = stack.enter_context(closing(DaemonPlayer(clock, environ)))
+        if not player.wait(BEGINS_S):
+            told = f"the daemon plays no trials: {player.why_not}"
+            raise LostError(f"{told}; see what `{shlex.join(command)}` says")
         address = player.status().device.address
         if wanted and address != wanted:
             told = f"the daemon plays to {address}, not to {wanted}"
             raise UsageError(f"{told}; stop it, or leave --device out")
-        if not player.wait(BEGINS_S):
-            raise LostError(f"the daemon plays no trials: {player.why_not}")
         yield player

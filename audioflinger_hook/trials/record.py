@@ -31,10 +31,7 @@ class OtherDesignError(UsageError):
 
 
 class Rows:
-    """The rows of a session, in memory.
-
-    trials: list of the trials, in the order of their answers. header: further facts, as a dict.
-    """
+    """The rows of a session, in memory. trials: in the order of answers. header: further facts."""
 
     def __init__(self, header: Mapping[str, Any] | None = None) -> None:
         self.trials: list[dict[str, Any]] = []
@@ -48,11 +45,9 @@ class Rows:
 class TrialRecord(Rows, AbstractContextManager["TrialRecord"]):
     """An append-only file of trials, which one process may have open.
 
-    The first line is the header {"design": SHA-256, ...}; each further line is one trial. After
-    kill -9 in the middle of a line, the next opening removes this line. All trials before are kept.
-
-    path: the file; a missing file, and its folder, is made. design: the design's `design_digest`.
-    header: further entries for the header of a new file; ignored for an existing file.
+    The first line is the header {"design": SHA-256, ...}; each further line is one trial. Half a
+    line, which kill -9 leaves, is removed. path: the file, which is made if it is missing, with its
+    folder. design: the design's `design_digest`. header: further entries of a new file's header.
 
     OtherDesignError: the file belongs to another design. UsageError: the file cannot be opened, is
     no record, or another process has it open. WriteError: the header cannot be written.
@@ -62,15 +57,13 @@ class TrialRecord(Rows, AbstractContextManager["TrialRecord"]):
         self, path: Path, design: str = "", *, header: Mapping[str, Any] | None = None
     ) -> None:
         super().__init__({"design": design, **(header or {})})
-        self.path = path
+        self.path, self._length = path, 0
         make_private_folder(path.parent)
         try:
             self._fd = os.open(path, _FLAGS, 0o600)
         except OSError as error:
             raise UsageError(f"cannot open the record {path}: {write_reason(error)}") from error
-        self._length = 0
         try:
-            self._lock()
             self._read(design)
         except BaseException:
             self.close()
@@ -79,12 +72,11 @@ class TrialRecord(Rows, AbstractContextManager["TrialRecord"]):
     def append(self, trial: Mapping[str, Any]) -> None:
         """Write one trial as a line, and wait until it is on the disk.
 
-        trial: what JSON can hold, with finite numbers. WriteError: the disk is full, or the record
-        is closed; the file then ends with the trial before, and `trials` does not have this one.
+        trial: what JSON can hold, with finite numbers. WriteError: the disk is full; the file then
+        ends with the trial before, and `trials` does not have this one.
         """
-        line = json.dumps(trial, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
-        self._append(line)
-        self.trials.append(json.loads(line))
+        self._append(trial)
+        super().append(trial)
 
     def close(self) -> None:
         """Close the file and release its lock. Repeated calls do nothing."""
@@ -95,45 +87,37 @@ class TrialRecord(Rows, AbstractContextManager["TrialRecord"]):
     def __exit__(self, *_error: object) -> None:
         self.close()
 
-    def _lock(self) -> None:
+    def _read(self, design: str) -> None:
         try:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise UsageError(
-                f"another cushion process has the record {self.path} open; end that process first"
-            ) from error
-
-    def _read(self, design: str) -> None:
+            busy = f"another cushion process has the record {self.path} open"
+            raise UsageError(f"{busy}; end that process first") from error
         with open(self._fd, "rb", closefd=False) as file:
             content = file.read()
-        whole, newline, _ = content.rpartition(b"\n")
-        self._length = len(whole) + len(newline)
-        if self._length != len(content):
-            os.ftruncate(self._fd, self._length)
-        if not whole:
-            self._append(json.dumps(self.header, separators=(",", ":"), allow_nan=False))
+        self._length = content.rfind(b"\n") + 1
+        os.ftruncate(self._fd, self._length)
+        if not self._length:
+            self._append(self.header)
             return
-        header, *trials = (self._parsed(*one) for one in enumerate(whole.split(b"\n"), 1))
-        if (found := header.get("design")) != design:
+        rows = []
+        for number, line in enumerate(content[: self._length].splitlines(), 1):
+            with suppress(ValueError, RecursionError):
+                rows.append(json.loads(line))
+            if len(rows) < number or not isinstance(rows[-1], dict):
+                raise UsageError(
+                    f"line {number} of the record {self.path} is damaged; move the file away, or "
+                    "remove this line"
+                )
+        self.header, *self.trials = rows
+        if (found := self.header.get("design")) != design:
             raise OtherDesignError(
                 f"the record {self.path} belongs to another design (SHA-256 {str(found)[:12]}, "
                 f"now {design[:12]}); restore that design, or begin a new record"
             )
-        self.header, self.trials = header, trials
 
-    def _parsed(self, number: int, line: bytes) -> dict[str, Any]:
-        with suppress(ValueError, RecursionError):
-            parsed = json.loads(line)
-            if isinstance(parsed, dict):
-                return parsed
-        raise UsageError(
-            f"line {number} of the record {self.path} is damaged; "
-            "move the file away, or remove this line"
-        )
-
-    def _append(self, line: str) -> None:
-        if self._fd < 0:
-            raise WriteError(f"the record {self.path} is closed: nothing can be written")
+    def _append(self, row: Mapping[str, Any]) -> None:
+        line = json.dumps(row, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
         content = f"{line}\n".encode()
         try:
             write_at(self._fd, content, self._length)

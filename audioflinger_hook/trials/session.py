@@ -9,15 +9,15 @@ Trial = TypeVar("Trial", covariant=True)
 
 
 class Script(Protocol[Trial]):
-    """Decides which trials a session has, from the rows so far."""
+    """Decides which trials a session has, from the rows so far.
 
-    def next_trial(self) -> tuple[Trial, Mapping[str, Any]] | None:
-        """Return the next trial, and its columns for the record; None at the end."""
-        ...
+    next_trial: returns the next trial, and its columns for the record; None at the end.
+    take: takes a recorded row: the columns of the trial, and those of its answer.
+    """
 
-    def take(self, row: Mapping[str, Any]) -> None:
-        """Take a recorded row: the columns of the trial, and those of its answer."""
-        ...
+    def next_trial(self) -> tuple[Trial, Mapping[str, Any]] | None: ...  # noqa: D102
+
+    def take(self, row: Mapping[str, Any]) -> None: ...  # noqa: D102
 
 
 def run(

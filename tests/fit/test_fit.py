@@ -14,7 +14,7 @@ from audioflinger_hook.config import fits
 from audioflinger_hook.config.profiles import parameters_of
 from audioflinger_hook.fit.curve import CurvePosterior
 from audioflinger_hook.fit.person import PEAK_DBFS, RATE_HZ, START_DBFS, FittedPerson, tones
-from audioflinger_hook.fit.session import FIRST, SECOND, UNKNOWN, FitSession, Trial, design_of
+from audioflinger_hook.fit.session import FIRST, SECOND, UNKNOWN, FitSession
 from audioflinger_hook.service.status import ExposureFigures
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.mapping import VibrationMapping
@@ -84,7 +84,7 @@ def test_whoever_gives_one_answer_to_everything_is_refused(given, tmp_path):
 
     with TrialRecord(tmp_path / "record", header={"seed": 3}) as record:
         session = FitSession(record, Stubborn())
-        session.run()
+        list(session.run())
     assert session.refusal
 
 
@@ -115,10 +115,10 @@ def test_kill_9_loses_no_answer_and_the_fit_goes_on_to_the_same_result(state, pe
 
 def test_a_record_has_one_design_and_one_user_and_survives_a_full_disk(tmp_path):
     path = tmp_path / "record"
-    with TrialRecord(path, design_of(device="a"), header={"seed": 1}) as record:
+    with TrialRecord(path, "a", header={"seed": 1}) as record:
         record.append({"trial": 0})
         with pytest.raises(UsageError, match="another cushion process"):
-            TrialRecord(path, design_of(device="a"))
+            TrialRecord(path, "a")
         soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
         before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 5, hard))
@@ -132,11 +132,11 @@ def test_a_record_has_one_design_and_one_user_and_survives_a_full_disk(tmp_path)
         record.append({"trial": 1})
     whole = path.read_bytes()
     path.write_bytes(whole + b'{"trial":')
-    with TrialRecord(path, design_of(device="a")) as record:
+    with TrialRecord(path, "a") as record:
         assert path.read_bytes() == whole
         assert (record.trials, record.header["seed"]) == ([{"trial": 0}, {"trial": 1}], 1)
     with pytest.raises(OtherDesignError):
-        TrialRecord(path, design_of(device="b"))
+        TrialRecord(path, "b")
 
 
 @pytest.mark.parametrize(
@@ -145,7 +145,7 @@ def test_a_record_has_one_design_and_one_user_and_survives_a_full_disk(tmp_path)
         ({"curve_db": None}, ["curve_db is not a table of frequencies"]),
         ({"curve_db": {}}, ["curve_db is not a table"]),
         ({"curve_db": {"70": "x", "0": 1, "a": 2}}, ['"70": "x"', '"0": 1', '"a": 2']),
-        ({"curve_db": {"70": 1e9}}, ["sensitivity is out of range"]),
+        ({"curve_db": {"70": 1e9}}, ['"70": 1000000000.0']),
         ({"jnd_db": 0, "lapse": 2, "seed": 1.5}, ["jnd_db", "lapse", "seed"]),
         ({"jnd": 1, "lapse": True}, ["did you mean 'jnd_db'", "lapse is not a number"]),
     ],
@@ -188,9 +188,9 @@ def test_refused_answers_keep_the_old_fit_and_a_fit_can_be_undone(state, person,
     document("fit", "--simulate", person(), "--name", "other")
     assert "dB against other" in call("fit", "compare", "other", "simulated").stdout
     assert call("fit", "list").stdout.count("\n") == 2
-    picture = tmp_path / "fit.png"
-    assert call("fit", "show", "simulated", "--plot", picture).code == 0
-    assert picture.read_bytes().startswith(b"\x89PNG")
+    drawn = call("fit", "show", "simulated").stdout.splitlines()[1:]
+    middles = [line.index("o", line.index("|")) - line.index("|") - 21 for line in drawn]
+    assert middles == [round(level_db) for level_db in later["curve_db"].values()]
     assert call("fit", "undo", "simulated").code == 0
     assert (state / "simulated.toml").read_bytes() == before
     assert fits.read("simulated").curve_db == kept["curve_db"]
@@ -257,8 +257,8 @@ def test_the_level_starts_low_is_raised_by_the_person_and_lowered_by_protection(
     player = Player({4: replace(PLAYED, protection_db=3.0)})
     said = ["softer", "louder", "louder", "again", *["louder"] * 99, "good", "again", FIRST]
     who = FittedPerson(person_of(player, Answers(*said)))
-    who.choose_level()
-    answer = who.answer(Trial(0, 0, who.headroom_db, test_first=True))
+    test = {"hz": 25.0, "level_db": who.headroom_db, "catch": False}
+    answer = who.answer({**test, "trial": 0, "test_first": True})
     peaks_db = [20.0 * np.log10(np.abs(frames).max()) for _, frames in player.played]
     raised_db = np.array(peaks_db[:7]) - START_DBFS
     assert raised_db == pytest.approx([0.0, 0.0, 3.0, 6.0, 3.0, 6.0, 9.0], abs=0.1)
@@ -270,6 +270,6 @@ def test_the_level_starts_low_is_raised_by_the_person_and_lowered_by_protection(
 def test_a_fit_ends_at_half_of_an_exposure_action_value():
     player = Player(exposure=ExposureFigures(1.0, 0.0, 0.26, 0.0, False, False, 0.0))
     with pytest.raises(UsageError, match="half of the action value"):
-        FittedPerson(person_of(player, Answers())).choose_level()
+        FittedPerson(person_of(player, Answers()))
     assert player.played == []
     assert len(tones((25.0, -20.0))) == round(0.7 * RATE_HZ)

@@ -189,16 +189,14 @@ class TrialEnds:
     def links(self, graph: Graph) -> Set[LinkPair]:
         """Return the links of the sound to the heard sink; empty until all ports exist."""
         node, sink = graph.sink(self.sink), graph.sink(self.heard)
-        if node is None or sink is None:
-            return set()
-        outputs, inputs = graph.ports_of(node.id, MONITOR), graph.ports_of(sink.id, PLAYBACK)
-        if not inputs or not outputs.keys() >= set(HEARD):
-            return set()
+        outputs = graph.ports_of(node.id, MONITOR) if node else {}
+        inputs = graph.ports_of(sink.id, PLAYBACK) if sink else {}
         names = tuple(inputs)
         return {
             (outputs[position], inputs[names[index]])
             for position in HEARD
             for index in channels_of(position, names)
+            if outputs.keys() >= set(HEARD)
         }
 
     def links_from_streams(self, graph: Graph) -> Set[LinkPair]:
@@ -256,10 +254,7 @@ class ChainWiring:
         return {node.id for name in names for node in graph.nodes_named(name)}
 
     def made_nodes(self) -> Mapping[str, str]:
-        """Return {node's name: command that creates it} for the silent node and the trials' sink.
-
-        Without chains, there is no silent node.
-        """
+        """Return {node's name: command that creates it}; without chains, no silent node."""
         used = self.silence and self.chains
         made = {self.silence: SILENT_NODE.format(name=self.silence)} if used else {}
         if self.trial:

@@ -47,7 +47,8 @@ def fitted(person: SimulatedSitter, path: Path) -> tuple[FitSession, NDArray[np.
     """Return a person's fit, and its errors in dB at TEST_HZ without their mean."""
     with TrialRecord(path, header={"seed": person.seed}) as record:
         session = FitSession(record, person)
-        session.run()
+        for _ in session.run():
+            pass
     true = np.array([person.curve_db[hz] for hz in TEST_HZ])
     errors = session.posterior.curve_db - true
     return session, errors - errors.mean()
