@@ -1,8 +1,8 @@
 """Estimates of a study's parameters, with 95 % intervals, and tests that nothing differs.
 
-Each estimate is a function of a mean over participants, and the bootstrap draws participants. The
-tail of the bootstrap is that of Hesterberg's expanded percentiles (American Statistician 69, 2015),
-because plain percentiles are too narrow for few participants. The bootstrap's bias is subtracted.
+Each estimate is a function of a mean over participants, and SciPy's bootstrap draws participants.
+Its percentiles are Hesterberg's expanded ones (American Statistician 69, 2015), because plain ones
+are too narrow for few participants. The bootstrap's bias is subtracted from the estimate.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 from scipy.special import xlogy
 
@@ -61,18 +62,21 @@ class Estimate:
 def estimate(measured: Measured, seed: int) -> Estimate:
     """Return estimates with intervals and tests. seed: of the bootstrap."""
     n = len(measured.features)
-    mean = measured.features.mean(axis=0)[None]
-    values = measured.statistic(mean)[0]
+
+    def statistic(drawn: NDArray[np.intp], axis: int = -1) -> FloatArray:
+        counts = np.stack([np.bincount(one, minlength=n) for one in np.atleast_2d(drawn)])
+        return measured.statistic(np.tensordot(counts / n, measured.features, 1)).T
+
+    values = statistic(np.arange(n))[:, 0]
     lows, highs = np.full((2, len(values)), np.nan)
     if n > 1:
-        rng = np.random.default_rng(seed)
-        weights = rng.multinomial(n, np.full(n, 1.0 / n), RESAMPLES) / n
-        drawn = measured.statistic(np.tensordot(weights, measured.features, 1))
-        bias = drawn.mean(axis=0) - values
-        quantile = np.sqrt(n / (n - 1)) * stats.t.ppf(0.5 - 0.5 * LEVEL, n - 1)
-        tail = stats.norm.cdf(quantile)
-        lows, highs = np.quantile(drawn, (tail, 1.0 - tail), axis=0) - 2.0 * bias
-        values = values - bias
+        tail = stats.norm.cdf(np.sqrt(n / (n - 1)) * stats.t.ppf(0.5 - 0.5 * LEVEL, n - 1))
+        drawn = stats.bootstrap(
+            (np.arange(n),), statistic, n_resamples=RESAMPLES, vectorized=True,
+            confidence_level=1.0 - 2.0 * tail, method="percentile", random_state=seed,
+        )  # fmt: skip
+        lows, highs = drawn.confidence_interval
+        values = 2.0 * values - drawn.bootstrap_distribution.mean(axis=-1)
     values, lows, highs = np.clip((values, lows, highs), measured.low, measured.high)
     p, p_of = p_values(measured)
     return Estimate(measured.names, measured.unit, n, values, lows, highs, p, p_of)
