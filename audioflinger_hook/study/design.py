@@ -1,7 +1,10 @@
-"""The design of a study, as `design.toml` describes it."""
+"""The design of a study: reads `design.toml`, and finds all mistakes in it at once."""
 
-from collections.abc import Callable, Mapping, Sequence
+import tomllib
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,48 +14,33 @@ import soundfile
 from audioflinger_hook.baselines import BASELINES
 from audioflinger_hook.config.kinds import FileName, Names
 from audioflinger_hook.config.profiles import PROFILES
-from device.values import Choice, Described, Description, Number, Refusal, Switch, Text
+from audioflinger_hook.config.toml_text import Mistake, lines_of_keys, parse, printable, text_of
+from audioflinger_hook.trials.record import design_digest
+from device.errors import UsageError
+from device.values import Choice, Described, Number, Refusal, Switch, Text, nearest
 
-DESIGN, HOURS_MAX = "design.toml", 8.0
+DESIGN, HOURS_MAX, SOUND_S = "design.toml", 8.0, (0.1, 100.0)
 NONE = "none"
 METHODS = (NONE, *BASELINES, *PROFILES)
+BUILT_IN = files("audioflinger_hook.study") / "built_in"
+TABLE = tomllib.loads((BUILT_IN / "paradigms.toml").read_text())
 PARADIGMS = ("preference", "rating", "synchrony", "threshold", "equal", "identification")
-ADAPTIVE = ("threshold", "equal")
 OFFSETS_MS = (-200.0, -120.0, -80.0, -40.0, -20.0, 0.0, 20.0, 40.0, 80.0, 120.0, 200.0)
 GAP_S = 0.4  # silence between the two intervals of a trial
+NEUTRAL = {"conditions": (), "stimuli": (), "repeats": 0}  # in place of refused values
 
 
 @dataclass(frozen=True)
-class _Free(Description):
-    """A list or table that `is_good` accepts."""
-
-    is_good: Callable[[Any], bool]
-    grammar: str
-
-    @property
-    def allowed(self) -> str:
-        return self.grammar
+class _Free(Text):
+    is_good: Callable[[Any], bool] = bool
 
     def refuse(self, value: object) -> Refusal | None:
         return None if self.is_good(value) else Refusal("is not that", self.allowed)
 
-    def json_schema(self) -> dict[str, Any]:
-        return {}
-
 
 def _are_offsets(value: Any) -> bool:
-    is_number = Number("", -500.0, 500.0).refuse
-    return (
-        isinstance(value, list)
-        and len(set(map(str, value))) == len(value) >= 3
-        and not any(map(is_number, value))
-    )
-
-
-OFFSETS = _Free("delays of the vibration", _are_offsets, "3 or more different numbers, -500 to 500")
-EFFECT = _Free(
-    "true parameters for the power", lambda value: isinstance(value, dict), "{worth = {NAME = 1}}"
-)
+    different = isinstance(value, list) and len(set(map(str, value))) == len(value) >= 3
+    return different and not any(map(Number("", -500.0, 500.0).refuse, value))
 
 
 @dataclass(frozen=True)
@@ -96,22 +84,42 @@ class Question(Described):
     judgement: Annotated[
         str, Choice("what is asked about synchrony", ("simultaneity", "order"))
     ] = "simultaneity"
-    offsets_ms: Annotated[Sequence[float], OFFSETS] = OFFSETS_MS
+    offsets_ms: Annotated[
+        Sequence[float],
+        _Free("delays", "3 or more different numbers, -500 to 500", is_good=_are_offsets),
+    ] = OFFSETS_MS
     lowest_db: Annotated[float, Number("weakest level of adaptive trials", -80, -5, "dB")] = -40.0
     highest_db: Annotated[float, Number("strongest level of adaptive trials", 0, 20, "dB")] = 0.0
     sound: Annotated[bool, Switch("whether the sound is heard")] = True
     exploratory: Annotated[bool, Switch("whether the question is not preregistered")] = False
-    effect: Annotated[Mapping[str, Any] | None, EFFECT] = None
+    effect: Annotated[
+        Mapping[str, Any] | None,
+        _Free(
+            "true parameters for the power",
+            "{worth = {NAME = 1}}",
+            is_good=lambda value: isinstance(value, dict),
+        ),
+    ] = None
+
+    @property
+    def kind(self) -> Mapping[str, Any]:
+        """The paradigm's row of `paradigms.toml`; of an unknown paradigm, that of synchrony."""
+        return TABLE.get(self.paradigm) or TABLE[self.judgement]
+
+    @property
+    def is_adaptive(self) -> bool:
+        """Whether levels depend on the answers before."""
+        return self.paradigm in ("threshold", "equal")
 
     @property
     def pairs(self) -> list[tuple[str, str]]:
         """The conditions of the two intervals of each kind of trial; "" for one interval."""
         if self.paradigm == "preference":
             return list(combinations(self.conditions, 2))
-        first = {"rating": self.reference, "threshold": NONE, "equal": self.reference}
-        if (other := first.get(self.paradigm, "")) and self.paradigm != "rating":
-            return [(one, other) for one in self.conditions if one != other]
-        return [(other, one) if other else (one, "") for one in self.conditions]
+        if self.paradigm == "rating":
+            return [(self.reference, one) for one in self.conditions]
+        other = {"threshold": NONE, "equal": self.reference}.get(self.paradigm, "")
+        return [(one, other) for one in self.conditions if one != other]
 
     @property
     def trials(self) -> int:
@@ -160,21 +168,20 @@ class Design:
     def files(self) -> list[Path]:
         """All files of sound and vibration that the design names."""
         named = [self.vibration_file(c, s) for c in self.conditions.values() for s in self.stimuli]
-        sounds = [one.file for one in self.stimuli.values()]
-        return sorted({path for path in (*named, *sounds) if path})
+        return sorted({path for path in named if path} | {s.file for s in self.stimuli.values()})
 
     @property
     def hours(self) -> float:
         """Expected duration of one participant's session; unreadable sounds count as 0 s."""
         total_s = 0.0
         for question in self.questions.values():
-            trial_s = GAP_S + self.study.answer_s
-            for one in question.stimuli:
-                if one in self.stimuli and question.pairs:
-                    intervals = sum(bool(name) for name in question.pairs[0])
-                    sound_s = self.stimuli[one].duration_s
-                    trial_s += intervals * (sound_s + GAP_S) / len(question.stimuli)
-            total_s += (question.trials + self.study.practice) * trial_s
+            sounds_s = [
+                self.stimuli[one].duration_s for one in question.stimuli if one in self.stimuli
+            ]
+            intervals = sum(map(bool, question.pairs[0])) if question.pairs else 0
+            played_s = intervals * (sum(sounds_s) / max(1, len(sounds_s)) + GAP_S)
+            trials = question.trials + self.study.practice
+            total_s += trials * (played_s + GAP_S + self.study.answer_s)
         return total_s / 3600.0
 
     def vibration_file(self, condition: Condition, stimulus: str) -> Path | None:
@@ -182,3 +189,114 @@ class Design:
         if condition.method in METHODS:
             return None
         return self.folder / condition.method.replace("{stimulus}", stimulus)
+
+
+def load(folder: Path) -> Design:
+    """Return the design in a folder. UsageError: it has mistakes; see `check`."""
+    design, mistakes = check(folder)
+    if mistakes:
+        more = f" (and {len(mistakes) - 1} more; see `cushion study check`)" if mistakes[1:] else ""
+        raise UsageError(f"{folder / DESIGN}: {mistakes[0]}{more}")
+    return design
+
+
+def check(folder: Path) -> tuple[Design, list[Mistake]]:
+    """Return the design in a folder, and all mistakes, by line. With mistakes it is of no use.
+
+    UsageError: there is no such file.
+    """
+    if not (folder / DESIGN).exists():
+        raise UsageError(f"{folder} has no {DESIGN}; make it: `cushion study new {folder}`")
+    content = text_of(folder / DESIGN)
+    document, mistakes = parse(content)
+    found: list[tuple[str, Any, Refusal]] = []  # key, value and why it is refused
+    tables: dict[str, list[Any]] = {}
+    for name, kind in (("stimulus", Stimulus), ("condition", Condition), ("question", Question)):
+        rows = document.pop(name, [])
+        if not isinstance(rows, list) or not rows or not all(isinstance(r, dict) for r in rows):
+            allowed = f"one or more [[{name}]]"
+            found.append((name, None, Refusal("is missing, so there are zero trials", allowed)))
+            rows = []
+        tables[name] = [
+            _read(kind, row, folder, f"{name}[{number}].", found)
+            for number, row in enumerate(rows, 1)
+        ]
+    study = _read(Study, document, folder, "", found)
+    refused = {key for key, _, _ in found}
+    by_name = [{one.name: one for one in ones} for ones in tables.values()]
+    design = Design(folder, design_digest((folder / DESIGN).read_bytes()), study, *by_name)
+    for name, ones in tables.items():
+        times = Counter(one.name for one in ones)
+        for number, one in enumerate(ones, 1):
+            told = list(_contradictions(one, design))
+            if one.name and times[one.name] > 1:
+                wrong = f"is the name of {times[one.name]} [[{name}]]: a duplicate"
+                told.append(("name", wrong, "names that differ", ()))
+            for key, wrong, allowed, known in told:
+                if (full := f"{name}[{number}].{key}") not in refused:
+                    value = getattr(one, key)
+                    guess = nearest(value, known) if isinstance(value, str) else ""
+                    found.append((full, value or None, Refusal(wrong, allowed, guess)))
+    if (hours := design.hours) > HOURS_MAX:
+        why = Refusal(f"takes {hours:.1f} h for each participant", f"at most {HOURS_MAX:g} h")
+        found.append(("this study", None, why))
+    lines = lines_of_keys(content)
+    for key, value, why in found:
+        shown = list(value) if isinstance(value, tuple) else value
+        shown = "" if value is None or isinstance(value, dict) else printable(str(shown))
+        line = lines.get(key) or lines.get(key.rpartition(".")[0]) or 0
+        mistakes.append(Mistake(printable(key), line, shown, why.wrong, why.allowed, why.nearest))
+    return design, sorted(mistakes, key=lambda mistake: mistake.line)
+
+
+def _read(
+    kind: type[Described], row: Mapping[str, Any], folder: Path, prefix: str, found: list[Any]
+) -> Any:
+    """Return an object with the accepted values, not validated; append the others to `found`."""
+    known = kind.DESCRIPTIONS
+    for key in row.keys() - known.keys():
+        why = Refusal("is an unknown key", ", ".join(known), nearest(key, known))
+        found.append((f"{prefix}{key}", None, why))
+    values = {key: known[key].resolved(row[key], folder) for key in row if key in known}
+    refusals = kind.refusals(values)
+    found += [(f"{prefix}{key}", row.get(key), why) for key, why in refusals.items()]
+    accepted = {key: known[key].typed(values[key]) for key in values if key not in refusals}
+    one = object.__new__(kind)
+    vars(one).update({key: NEUTRAL.get(key, "") for key in refusals} | kind.defaults() | accepted)
+    return one
+
+
+def _contradictions(one: Any, design: Design) -> Iterator[tuple[str, str, str, Iterable[str]]]:
+    """Yield key, problem, allowed values, and known names of what is wrong beside other values."""
+    if isinstance(one, Stimulus):
+        if str(one.file) and not SOUND_S[0] <= (seconds := one.duration_s) <= SOUND_S[1]:
+            wrong = f"lasts {seconds:.3g} s" if seconds else "is not a sound file"
+            allowed = "a sound of {:g} to {:g} s that libsndfile reads".format(*SOUND_S)
+            yield "file", wrong, allowed, ()
+    elif isinstance(one, Condition):
+        if one.method and one.method not in METHODS and not {".", "/"} & {*one.method}:
+            allowed = f"{', '.join(METHODS)}, or a file, such as {{stimulus}}.wav"
+            yield "method", "is not known", allowed, METHODS
+            return
+        for path in {design.vibration_file(one, name): 0 for name in design.stimuli}:
+            if one.method and path and not path.is_file():
+                yield "method", f"needs {path}, which is no file", "existing files", ()
+    else:
+        for key, known in (("conditions", design.conditions), ("stimuli", design.stimuli)):
+            names, least = getattr(one, key), one.kind[key]
+            for name, count in Counter(names).items():
+                if name not in known:
+                    guess = f"; did you mean {near}?" if (near := nearest(name, known)) else ""
+                    wrong = f"has {name!r}, which the design does not describe{guess}"
+                    yield key, wrong, ", ".join(known), ()
+                if count > 1:
+                    yield key, f"has the duplicate {name!r}", "each name once", ()
+            if len(names) < least:
+                allowed = f"{least} or more for {one.paradigm or 'a question'}"
+                yield key, f"has {len(names)} names", allowed, ()
+        for key in one.kind["hidden"]:
+            if (name := getattr(one, key)) not in one.conditions:
+                wrong = "is not among the conditions" if name else "is missing"
+                yield key, wrong, ", ".join(one.conditions), ()
+        if one.kind["is_balanced"] and one.repeats % 2:
+            yield "repeats", "is odd, so order and side cannot be balanced", "even numbers", ()
