@@ -3,17 +3,15 @@
 import argparse
 import json
 import secrets
-import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import asdict
 from datetime import datetime
 from typing import Any
 
 from audioflinger_hook.cli.terminal import pressed_keys
-from audioflinger_hook.config import file as config
 from audioflinger_hook.config import fits
 from audioflinger_hook.config.fits import Fit
 from audioflinger_hook.fit.curve import Floats, named_by_hz
@@ -25,16 +23,11 @@ from audioflinger_hook.fit.session import (
     design_of,
 )
 from audioflinger_hook.fit.simulated import read_sitter
-from audioflinger_hook.service.install import own_command
-from audioflinger_hook.service.state import DaemonState
-from audioflinger_hook.service.status import Status
-from audioflinger_hook.service.status_client import ask_status
 from audioflinger_hook.transform.design.sensitivity import FIT_BOOST_DB
 from audioflinger_hook.trials.record import OtherDesignError, TrialRecord
 from device.address import parse_device
 from device.atomic_file import write_bytes_atomically
-from device.errors import CushionError, LostError, NotFoundError, UsageError, not_installed
-from device.process import started
+from device.errors import UsageError, not_installed
 from device.values import counted, nearest
 
 ANSWER_S = 4.0  # longest wait for an answer of the daemon
@@ -60,7 +53,15 @@ def run(options: argparse.Namespace) -> int:
             device = str(parse_device(options.device)) if options.device else ""
             about = {"seed": options.seed, "trials": trials_most, "sitter": repr(simulated)}
         else:
-            device = stack.enter_context(_daemon(options)).device.address
+            from audioflinger_hook.trials.player import opened
+
+            if not options.page and not (sys.stdin and sys.stdin.isatty()):
+                raise UsageError(
+                    "fit asks questions, but its input is not a terminal; run it in a terminal, or "
+                    "with --page, or try it with --simulate SITTER.json"
+                )
+            player = stack.enter_context(opened(options.device or "", time.monotonic))
+            device = player.status.device.address
             about = {}
         name = options.name or fits.name_for(device)
         path = fits.path_of(name).with_suffix(".jsonl")
@@ -79,7 +80,9 @@ def run(options: argparse.Namespace) -> int:
         resumed = len(record.trials)
         if resumed and not options.json:
             print(f"going on after {counted(resumed, 'answers')}; --new begins again", flush=True)
-        sitter = simulated if options.simulate else stack.enter_context(_person(options, record))
+        sitter = (
+            simulated if options.simulate else stack.enter_context(_person(options, record, player))
+        )
         session = FitSession(record, sitter, trials_most)
         session.run(_progress(options))
         return _end(options, session, name, device, resumed)
@@ -193,71 +196,24 @@ def _manage(options: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _person(options: argparse.Namespace, record: TrialRecord) -> Iterator[Sitter]:
+def _person(options: argparse.Namespace, record: TrialRecord, player: Any) -> Iterator[Sitter]:
     """Yield a person at the terminal or on the page, whose level is chosen."""
-    from audioflinger_hook.fit.person import Person, TerminalAnswers
-    from audioflinger_hook.trials.page import Answers, Kind, PageAnswers, Question
-    from audioflinger_hook.trials.player import DaemonPlayer
+    from audioflinger_hook.fit.person import FittedPerson
+    from audioflinger_hook.trials.page import PageAnswers, screen
+    from audioflinger_hook.trials.person import Person, TerminalAnswers
 
     def tell(url: str) -> None:
         print(f"answer on this page: {url}", file=sys.stderr, flush=True)
 
     with ExitStack() as stack:
-        player = stack.enter_context(closing(DaemonPlayer()))
-        if not player.wait(BEGINS_S):
-            raise LostError(f"the daemon plays no trials: {player.why_not}")
-        answers: Answers
+        answers: PageAnswers | TerminalAnswers
         if options.page:
             answers = stack.enter_context(closing(PageAnswers(player.stop, tell, time.time)))
         else:
             answers = TerminalAnswers(stack.enter_context(pressed_keys()))
         known = record.trials[-1]["reference_dbfs"] if record.trials else None
-        exposure = lambda: ask_status(ANSWER_S, time.monotonic).exposure  # noqa: E731
-        person = stack.enter_context(Person(player, answers, exposure, known))
+        person = FittedPerson(Person(player, answers), known)
         if known is None:
             person.choose_level()
         yield person
-        answers.show(Question(Kind.PLAYING, "Thank you", ("The comparisons are over.",)))
-
-
-@contextmanager
-def _daemon(options: argparse.Namespace) -> Iterator[Status]:
-    """Yield the status of the daemon that plays to the device; start one if none runs."""
-    wanted, status = str(parse_device(options.device)) if options.device else "", None
-    with suppress(NotFoundError):
-        status = ask_status(ANSWER_S, time.monotonic)
-    if status is None and not wanted and not config.names_a_device():
-        raise UsageError(
-            "no device to fit: name one with --device, see `cushion devices`, or try a simulated "
-            "person with --simulate SITTER.json"
-        )
-    if not options.page and not (sys.stdin and sys.stdin.isatty()):
-        raise UsageError(
-            "fit asks questions, but its input is not a terminal; run it in a terminal, or with "
-            "--page, or try it with --simulate SITTER.json"
-        )
-    with ExitStack() as stack:
-        status = status or _started(wanted, stack)
-        if wanted and status.device.address != wanted:
-            raise UsageError(
-                f"the daemon plays to {status.device.address}, not to {wanted}; stop it, or leave "
-                "--device out"
-            )
-        yield status
-
-
-def _started(device: str, stack: ExitStack) -> Status:
-    """Start a daemon, which ends with the stack, and return its status once it plays."""
-    command = [*own_command(), "run", *(["--device", device] if device else [])]
-    child = started(command)
-    stack.callback(child.wait)
-    stack.callback(child.terminate)
-    stack.callback(time.sleep, FADED_S)
-    end_s = time.monotonic() + BEGINS_S
-    while time.monotonic() < end_s and child.poll() is None:
-        with suppress(CushionError):
-            status = ask_status(ANSWER_S, time.monotonic)
-            if status.state in (DaemonState.RUNNING, DaemonState.IDLE):
-                return status
-        time.sleep(0.1)
-    raise LostError(f"the daemon does not play; see what `{shlex.join(command)}` says")
+        answers.show(screen("text", "Thank you", "The comparisons are over."))

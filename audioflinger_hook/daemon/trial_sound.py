@@ -17,7 +17,7 @@ CHANNELS = 4  # of the stream; the last one is silent
 FADE_S, LONGEST_S = 0.05, 120.0
 
 SILENT = 10.0**-7.5  # -150 dBFS
-RMS_S = 0.3  # time constant of the core's mean square; its peaks fall by 20 dB/s
+RMS_S = 0.3  # time constant of the core's mean square
 
 
 class TrialSound:
@@ -90,9 +90,7 @@ class TrialMeter:
         self._chain, self._page = chain, chain.page
         self._frames, self._before = self._page.frames, self._levels()
         self._energy_s = np.zeros(len(self._before))
-        self._bound = float(np.max(self._before[:, 0], initial=0.0))
-        self._peak, self._gain = 0.0, 1.0
-        self._doses, self._limited = self._dose_sums(), self._limited_blocks()
+        self._gain, self._doses = 1.0, self._dose_sums()
 
     def look(self) -> None:
         """Read the levels; call it often while the trial plays."""
@@ -100,18 +98,15 @@ class TrialMeter:
         seconds = (frames - self._frames) / self._chain.plan.samplerate
         if seconds <= 0.0:
             return
-        # a peak that has only fallen, by 20 dB/s, is one of before
-        is_new = now[:, 0] > 1.001 * self._before[:, 0] * 10.0**-seconds
-        self._peak = max(self._peak, float(np.max(now[is_new, 0], initial=0.0)))
         kept = math.exp(-seconds / RMS_S)
-        self._energy_s += seconds * (now[:, 1] - kept * self._before[:, 1]) / (1.0 - kept)
+        self._energy_s += seconds * (now - kept * self._before) / (1.0 - kept)
         self._gain = min(
             [self._gain, *(rig.protection().gain for rig in self._chain.design.rigs if rig)]
         )
         self._frames, self._before = frames, now
 
     def result(self, seconds: float) -> dict[str, Any]:
-        """Return peak and r.m.s. level in dBFS, protection's attenuation, and exposure.
+        """Return the r.m.s. level in dBFS, protection's attenuation, and exposure.
 
         seconds: duration of the trial.
         """
@@ -123,20 +118,15 @@ class TrialMeter:
         exposure = Exposure.of(doses) if doses else None
         return {
             "seconds": seconds,
-            "peak_dbfs": amplitude_to_db(max(self._peak or self._bound, SILENT)),
             "level_dbfs": amplitude_to_db(max(rms, SILENT)),
             "protection_db": abs(amplitude_to_db(max(self._gain, SILENT))),
-            "limited_blocks": self._limited_blocks() - self._limited,
             "a8_m_s2": exposure and exposure.a8_m_s2,
             "vdv_m_s175": exposure and exposure.vdv,
         }
 
     def _levels(self) -> Any:
         found = self._page.readings.actuators[: len(self._chain.plan.actuators)]
-        return np.array([(one.level.peak, one.level.mean_square) for one in found])
+        return np.array([one.level.mean_square for one in found])
 
     def _dose_sums(self) -> list[DoseSums]:
         return [one.dose for rig in self._chain.design.rigs if rig for one in rig.safety_states()]
-
-    def _limited_blocks(self) -> int:
-        return sum(rig.protection().limited_blocks for rig in self._chain.design.rigs if rig)

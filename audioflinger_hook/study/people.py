@@ -25,8 +25,8 @@ NOTHING = dict.fromkeys(("a8_m_s2", "vdv_m_s175"))  # no rig measures exposure
 
 @dataclass(frozen=True)
 class _File(Described):
-    people: Annotated[int, Number("", 1, 10_000, whole=True)]
-    seed: Annotated[int, Number("", 0, 2**31, whole=True)] = 1
+    people: Annotated[int, Number("people", 1, 10_000, whole=True)]
+    seed: Annotated[int, Number("seed", 0, 2**31, whole=True)] = 1
 
 
 class People:

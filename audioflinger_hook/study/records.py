@@ -109,6 +109,7 @@ def columns() -> list[str]:
 
 def write_table(design: Design, people: Sequence[Participant]) -> None:
     """Write all rows to `data/trials.csv`, and `codebook.md`."""
+    (design.folder / DATA).mkdir(exist_ok=True)
     out = io.StringIO()
     table = csv.DictWriter(out, columns(), lineterminator="\n")
     table.writeheader()

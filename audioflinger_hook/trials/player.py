@@ -2,27 +2,37 @@
 
 import json
 import os
+import shlex
 import socket
 import threading
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy.signal import resample_poly
 
+from audioflinger_hook.config.file import names_a_device
 from audioflinger_hook.daemon.trial_sound import COLUMNS, RATE_HZ
+from audioflinger_hook.service.install import own_command
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
-from audioflinger_hook.service.status_client import NO_DAEMON
+from audioflinger_hook.service.status import ExposureFigures, Status
+from audioflinger_hook.service.status_client import NO_DAEMON, ask_status
 from audioflinger_hook.service.status_server import NAME, PROTOCOL
 from audioflinger_hook.sources.file import FileTap
+from device.address import parse_device
 from device.errors import InternalError, LostError, NotFoundError, UsageError, WriteError
+from device.process import started
 from device.units import Float32Array
 
 ANSWER_S = 5.0  # longest wait for the daemon, in addition to the trial
 ASK_S = 0.1  # between two questions whether the daemon is ready
+BEGINS_S = 20.0  # longest time until a daemon plays trials
+FADED_S = 0.3  # from the end of a trial to the end of its daemon, for the fade
+
+Frames = Path | Float32Array | None
 
 
 class NotPlayedError(LostError):
@@ -36,11 +46,9 @@ class Played:
     sound_began_s, vibration_began_s: when the first frame is heard and felt; None without this
     file. Both are equal: the daemon aligns them by its offset.
     seconds: duration that was played. stopped: whether `stop` ended it early, with a fade.
-    peak_dbfs, level_dbfs: peak, and r.m.s. over the duration, of the strongest actuator's signal:
-    the vibration as sent to the device, after gain, damping and protection; at least -150. Within
-    some seconds after a louder trial, the peak may be an upper bound.
-    protection_db: largest attenuation by protection that was seen, 0 to 150. limited_blocks:
-    number of blocks of 2 ms in which protection limited the vibration.
+    level_dbfs: r.m.s. over the duration of the strongest actuator's signal: the vibration as sent
+    to the device, after gain, damping and protection; at least -150.
+    protection_db: largest attenuation by protection that was seen, 0 to 150.
     a8_m_s2, vdv_m_s175: exposure by this trial alone (see `Exposure`); None without a rig. Of
     several trials, squares of A(8) and fourth powers of VDV add up.
     """
@@ -49,55 +57,21 @@ class Played:
     vibration_began_s: float | None
     seconds: float
     stopped: bool
-    peak_dbfs: float
     level_dbfs: float
     protection_db: float
-    limited_blocks: int
     a8_m_s2: float | None
     vdv_m_s175: float | None
 
 
-class Player(Protocol):
-    """Plays one trial at a time. While it is open, tapped sound is not felt.
-
-    `DaemonPlayer` asks the running daemon. A test or a simulation may give its own.
-    """
-
-    def play(self, sound: Path | None, vibration: Path | None) -> Played:
-        """Play both files from their first frames on; return after the end.
-
-        sound: file of 1 or 2 channels for the default output, or None. vibration: file of one
-        channel, or a .npy file of mono float32 at 48 kHz, in shares of full scale before the
-        config's gain; or None. Both get raised-cosine ends of 50 ms. An asynchrony of a study is
-        silence at the beginning of one of the files; both together take at most 120 s.
-
-        NotPlayedError: the device or the server was lost, or is not ready. The trial counts as not
-        played: call `wait`, then offer it again. UsageError: a file is not usable. NotFoundError:
-        no daemon runs. LostError, InternalError: the daemon has ended or does not answer.
-        """
-        ...
-
-    def stop(self) -> None:
-        """End the trial that plays with a fade of 50 ms. Any thread; without a trial, nothing."""
-        ...
-
-    def wait(self, timeout_s: float) -> bool:
-        """Wait until the daemon can play a trial; return whether it can."""
-        ...
-
-    def close(self) -> None:
-        """End the trial that plays; tapped sound is felt again. May be repeated."""
-        ...
-
-
 class DaemonPlayer:
-    """Plays trials through this user's daemon; implements `Player`.
+    """Plays one trial at a time through the user's daemon. Until `close`, no other sound is felt.
 
-    why_not: why the daemon could not play a trial when it was last asked, or "".
-    NotFoundError: no daemon runs. UsageError: another program plays trials.
+    clock: returns seconds. why_not: why the daemon could not play a trial when it was last asked,
+    or "". NotFoundError: no daemon runs. UsageError: another program plays trials.
     """
 
-    def __init__(self, environ: Mapping[str, str] = os.environ) -> None:
+    def __init__(self, clock: Callable[[], float], environ: Mapping[str, str] = os.environ) -> None:
+        self._clock, self._environ = clock, environ
         self._lines = b""
         self._plays = False
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -116,8 +90,27 @@ class DaemonPlayer:
             self.close()
             raise
 
-    def play(self, sound: Path | None, vibration: Path | None) -> Played:
-        """Play both files; see `Player`."""
+    @property
+    def status(self) -> Status:
+        """The daemon's status. For errors, see `ask_status`."""
+        return ask_status(ANSWER_S, self._clock, self._environ)
+
+    def exposure(self) -> ExposureFigures | None:
+        """Return the exposure of today, None without a rig. For errors, see `ask_status`."""
+        return self.status.exposure
+
+    def play(self, sound: Frames, vibration: Frames) -> Played:
+        """Play both from their first frames on; return after the end.
+
+        sound: file of 1 or 2 channels for the default output, or None. vibration: file of one
+        channel, in shares of full scale before the config's gain; or None. Frames at RATE_HZ,
+        (frames, channels), may replace a file. Both get raised-cosine ends of 50 ms. An asynchrony
+        of a study is silence at the beginning of one of them; together they take at most 120 s.
+
+        NotPlayedError: the device or the server was lost, or is not ready. The trial counts as not
+        played: call `wait`, then offer it again. UsageError: a file is not usable. NotFoundError:
+        no daemon runs. LostError, InternalError: the daemon has ended or does not answer.
+        """
         frames = mixed(sound, vibration)
         try:
             np.save(self._file, frames)
@@ -137,13 +130,13 @@ class DaemonPlayer:
         return Played(heard_s, felt_s, **answer)
 
     def stop(self) -> None:
-        """End the trial that plays with a fade."""
+        """End the trial that plays with a fade of 50 ms. Any thread; without a trial, nothing."""
         if self._plays:
             with suppress(LostError):
                 self._say({"stop": True})
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until the daemon can play a trial; see `Player`."""
+        """Wait until the daemon can play a trial; return whether it can."""
         pause = threading.Event()
         for _ in range(1 + round(timeout_s / ASK_S)):
             if not self._ready():
@@ -152,7 +145,7 @@ class DaemonPlayer:
         return False
 
     def close(self) -> None:
-        """End the session with the daemon. May be repeated."""
+        """End the trial that plays; tapped sound is felt again. May be repeated."""
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)  # wakes `play` in another thread
         self._socket.close()
@@ -192,39 +185,75 @@ class DaemonPlayer:
 _ENDED = "the daemon has ended; start it again with `cushion run`, and repeat the command"
 
 
-def mixed(sound: Path | None, vibration: Path | None) -> Float32Array:
-    """Return a trial's frames for the daemon, (frames, COLUMNS) at 48 kHz; the shorter file ends.
+def mixed(sound: Frames, vibration: Frames) -> Float32Array:
+    """Return a trial's frames for the daemon, (frames, COLUMNS) at RATE_HZ; the shorter one ends.
 
     UsageError: a file is not usable, or neither is given.
     """
     if sound is None and vibration is None:
         raise UsageError("a trial needs a sound or a vibration")
-    heard, felt = (
-        np.zeros((0, 1), np.float32) if path is None else _read(path) for path in (sound, vibration)
-    )
-    for path, frames, most in ((sound, heard, 2), (vibration, felt, 1)):
-        if frames.shape[1] > most:
-            raise UsageError(f"{path} has {frames.shape[1]} channels; allowed: up to {most}")
+    heard, felt = _read(sound, 2), _read(vibration, 1)
     both = np.zeros((max(len(heard), len(felt)), COLUMNS), np.float32)
     both[: len(heard), :2] = heard
     both[: len(felt), 2:] = felt
     return np.clip(both, -1.0, 1.0)
 
 
-def _read(path: Path) -> Float32Array:
-    """Return a file's frames at 48 kHz, (frames, channels)."""
-    if path.suffix == ".npy":
-        try:
-            return np.asarray(np.load(path, allow_pickle=False), np.float32).reshape(-1, 1)
-        except (OSError, ValueError, EOFError) as error:
-            raise UsageError(f"{path} is no array of numbers ({error})") from None
-    tap, parts = FileTap(path), []
-    try:
+def _read(source: Frames, most: int) -> Float32Array:
+    """Return frames at RATE_HZ, (frames, channels)."""
+    if not isinstance(source, Path):
+        return np.zeros((0, 1), np.float32) if source is None else source
+    with closing(FileTap(source)) as tap:
+        if tap.channels > most:
+            raise UsageError(f"{source} has {tap.channels} channels; allowed: up to {most}")
+        parts = []
         while (part := tap.read()) is not None:
             parts.append(part)
-    finally:
-        tap.close()
     frames = np.concatenate(parts)
     if tap.samplerate != RATE_HZ:
         frames = resample_poly(frames, RATE_HZ, tap.samplerate, axis=0).astype(np.float32)
     return frames
+
+
+@contextmanager
+def opened(
+    device: str, clock: Callable[[], float], environ: Mapping[str, str] = os.environ
+) -> Iterator[DaemonPlayer]:
+    """Yield a player of the daemon that plays to a device, once it plays trials.
+
+    If no daemon runs, one is started, which ends with the block. device: its address, "" for the
+    daemon's or the config's. clock: returns seconds. UsageError: no device is named, or the daemon
+    plays to another. LostError: the daemon plays no trials.
+    """
+    wanted, child = str(parse_device(device)) if device else "", None
+    pause = threading.Event().wait
+    with ExitStack() as stack:
+        try:
+            ask_status(ANSWER_S, clock, environ)
+        except NotFoundError:
+            if not wanted and not names_a_device():
+                raise UsageError(
+                    "no device is named: give one with --device, see `cushion devices`, or try "
+                    "simulated people with --simulate"
+                ) from None
+            command = [*own_command(), "run", *(["--device", wanted] if wanted else [])]
+            child = started(command)
+            stack.callback(child.wait)
+            stack.callback(child.terminate)
+            stack.callback(pause, FADED_S)
+        for _ in range(round(BEGINS_S / ASK_S)):
+            if child is not None and child.poll() is not None:
+                raise LostError(f"the daemon has ended; see what `{shlex.join(command)}` says")
+            with suppress(NotFoundError):
+                player = stack.enter_context(closing(DaemonPlayer(clock, environ)))
+                break
+            pause(ASK_S)
+        else:
+            raise LostError("the daemon does not begin")
+        address = player.status.device.address
+        if wanted and address != wanted:
+            told = f"the daemon plays to {address}, not to {wanted}"
+            raise UsageError(f"{told}; stop it, or leave --device out")
+        if not player.wait(BEGINS_S):
+            raise LostError(f"the daemon plays no trials: {player.why_not}")
+        yield player

@@ -15,19 +15,8 @@ import numpy as np
 import pytest
 import soundfile
 
-from audioflinger_hook.trials.page import (
-    AGAIN,
-    FIRST,
-    SECOND,
-    UNKNOWN,
-    Answer,
-    Choice,
-    Kind,
-    PageAnswers,
-    Question,
-    StoppedError,
-    play_whole,
-)
+from audioflinger_hook.trials.page import AGAIN, UNKNOWN, Answer, PageAnswers, StoppedError, screen
+from audioflinger_hook.trials.person import Person
 from audioflinger_hook.trials.player import DaemonPlayer, Played
 from tests.servers.daemons import FELT, felt_now, running, tone
 from tests.servers.listening import RATE_HZ, need, recording, wait_for
@@ -39,16 +28,17 @@ from tools.sound_server import SoundServer, missing_programs
 pytestmark = pytest.mark.browser
 
 TRIALS = 20
-STRONGER = Question(Kind.CHOICE, "Which was stronger?", (), (FIRST, SECOND), (AGAIN, UNKNOWN))
-PLAYING = Question(Kind.PLAYING, "Feel and listen", parts=(("First", 0.0, 3.0),), total=TRIALS)
-SOUNDS = tuple(Choice(name, name, str(n)) for n, name in enumerate(["Rain", "Door", "Speech"], 1))
+CHOICES = ("1", "First", "1"), ("2", "Second", "2"), AGAIN, UNKNOWN
+STRONGER = screen("choice", "Which was stronger?", choices=CHOICES[:2], also=CHOICES[2:])
+PLAYING = screen("playing", "Feel and listen", total=TRIALS)
+SOUNDS = [(name, name, str(n)) for n, name in enumerate(["Rain", "Door", "Speech"], 1)]
 SCREENS = {
     "choice": STRONGER,
-    "slider": Question(Kind.SLIDER, "How well?", labels=("bad", "good"), practice=True, total=3),
-    "one of": Question(Kind.ONE_OF, "Which sound was it?", (), SOUNDS, (AGAIN,), done=2, total=3),
-    "text": Question(Kind.TEXT, "Consent", ("You may stop.",), (Choice("yes", "I agree", "1"),)),
+    "slider": screen("slider", "How well?", labels=("bad", "good"), practice=True, total=3),
+    "one of": screen("one of", "Which was it?", choices=SOUNDS, also=[AGAIN], done=2, total=3),
+    "text": screen("text", "Consent", "You may stop.", choices=[("yes", "I agree", "1")]),
     "playing": PLAYING,
-    "end": Question(Kind.TEXT, "Thank you", ("You can close this page.",)),
+    "end": screen("text", "Thank you", "You can close this page."),
 }
 
 
@@ -57,11 +47,12 @@ class Study:
 
     def __init__(self, server: SoundServer, chromium: Any) -> None:
         self.server, self._chromium = server, chromium
-        self.player = DaemonPlayer(server.environment)
+        self.player = DaemonPlayer(time.monotonic, server.environment)
         self.errors: list[str] = []
         told: queue.SimpleQueue[str] = queue.SimpleQueue()
         environ = server.environment
         self.answers = PageAnswers(self.player.stop, told.put, time.time, environ=environ)
+        self.person = Person(self.player, self.answers)
         self._context = chromium.new_context()
         self.address = partial(told.get, timeout=10.0)
         self.page = self.open()
@@ -141,28 +132,26 @@ class InBackground:
 
 def test_20_trials_are_heard_and_felt_together_and_answered(study, wav, tmp_path):
     noise = wav(np.random.default_rng(1).uniform(-0.4, 0.4, round(SECONDS * RATE_HZ)), "n.wav")
-    wanted = [("1", "2", "again", "unknown")[number % 4] for number in range(TRIALS)]
-    keys = {"1": "1", "2": "2", "again": "a", "unknown": "d"}
+    wanted = [CHOICES[number % 4] for number in range(TRIALS)]
     both = ("desktop", "monitor_FL"), ("haptic", "monitor_FL")
 
     def session() -> list[tuple[Played, Answer]]:
         found = []
         for _ in wanted:
-            played = play_whole(study.player, study.answers, (noise, noise), PLAYING)
+            played = study.person.play(noise, noise, PLAYING)
             found.append((played, study.answers.ask(STRONGER)))
         return found
 
     with recorded_together(*both, tmp_path, study.server.environment, RATE_HZ) as path:
         link_a_clock(study.server)
         running_session = InBackground(session)
-        labels = {one.value: one.label for one in (FIRST, SECOND, AGAIN, UNKNOWN)}
-        question = study.page.locator("h1", has_text=STRONGER.title)
-        for number, value in enumerate(wanted):
+        question = study.page.locator("h1", has_text=STRONGER["title"])
+        for number, (_, label, key) in enumerate(wanted):
             question.wait_for()
             if number % 2:
-                study.page.keyboard.press(keys[value])
+                study.page.keyboard.press(key)
             else:
-                study.page.get_by_role("button", name=labels[value]).click()
+                study.page.get_by_role("button", name=label).click()
             if number + 1 < TRIALS:
                 question.wait_for(state="detached")
         found = running_session.result(study.page)
@@ -170,7 +159,7 @@ def test_20_trials_are_heard_and_felt_together_and_answered(study, wav, tmp_path
     print(found_lags)
     assert len(found_lags) == TRIALS
     assert max(np.abs(found_lags)) <= WITHIN_FRAMES
-    assert [answer.value for _, answer in found] == wanted
+    assert [answer.value for _, answer in found] == [value for value, _, _ in wanted]
     assert all(0.0 < answer.after_s < 5.0 for _, answer in found)
     levels = [played.level_dbfs for played, _ in found]
     felt = soundfile.read(path)[0][:, 1]
@@ -185,9 +174,7 @@ def test_a_page_closed_or_paused_in_mid_trial_stops_it_and_the_trial_is_played_a
 ):
     long = wav(tone(70.0, 4.0)[:, 0], "long.wav")
     with recording(study.server, "haptic.monitor", tmp_path / "felt") as felt:
-        playing = InBackground(
-            lambda: play_whole(study.player, study.answers, (long, long), PLAYING)
-        )
+        playing = InBackground(lambda: study.person.play(long, long, PLAYING))
         wait_for(lambda: felt_now(felt, 0.2), "vibration")
         if how == "closed":
             study.page.close()
@@ -211,8 +198,8 @@ def test_a_device_unplugged_in_mid_trial_is_told_and_the_trial_is_played_again(
     study, wav, tmp_path
 ):
     long = wav(tone(70.0, 4.0)[:, 0], "long.wav")
-    playing = InBackground(lambda: play_whole(study.player, study.answers, (long, long), PLAYING))
-    study.page.locator("li[aria-current]").wait_for()
+    playing = InBackground(lambda: study.person.play(long, long, PLAYING))
+    study.page.locator("h1", has_text=PLAYING["title"]).wait_for()
     study.server.remove("haptic")
     study.page.locator("h1", has_text="One moment").wait_for()
     assert "waiting-for-device" in study.page.inner_text("#screen")
@@ -230,7 +217,7 @@ def test_a_rating_needs_a_movement_and_a_person_can_stop(study):
     study.page.keyboard.press("Enter")
     assert rating.result(study.page).value == 55
     asked = InBackground(lambda: study.answers.ask(STRONGER))
-    study.page.locator("h1", has_text=STRONGER.title).wait_for()
+    study.page.locator("h1", has_text=STRONGER["title"]).wait_for()
     study.page.click("#stop")
     study.page.click("#end")
     with pytest.raises(StoppedError, match="all answers are kept"):
@@ -250,7 +237,7 @@ def test_axe_finds_no_violation_and_each_screen_fits(study, size, theme):
     page.set_viewport_size({"width": size[0], "height": size[1]})
     for name, question in SCREENS.items():
         study.answers.show(question)
-        page.locator("h1", has_text=question.title).wait_for()
+        page.locator("h1", has_text=question["title"]).wait_for()
         page.evaluate(axe)
         found[name] = [one["id"] for one in page.evaluate("axe.run()")["violations"]]
         room = page.evaluate("[document.documentElement.scrollWidth, document.body.scrollHeight]")

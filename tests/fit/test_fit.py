@@ -13,17 +13,17 @@ import soundfile
 from audioflinger_hook.config import fits
 from audioflinger_hook.config.profiles import parameters_of
 from audioflinger_hook.fit.curve import CurvePosterior
-from audioflinger_hook.fit.person import PEAK_DBFS, RATE_HZ, START_DBFS, Person, tones
+from audioflinger_hook.fit.person import PEAK_DBFS, RATE_HZ, START_DBFS, FittedPerson, tones
 from audioflinger_hook.fit.session import FIRST, SECOND, UNKNOWN, FitSession, Trial, design_of
 from audioflinger_hook.service.status import ExposureFigures
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.mapping import VibrationMapping
-from audioflinger_hook.trials.page import Answer
-from audioflinger_hook.trials.player import Played
 from audioflinger_hook.trials.record import OtherDesignError, TrialRecord
 from device.errors import UsageError, WriteError
 from tests.support.commands import call, document, refused, start
 from tests.support.signals import tone
+from tests.support.trials import PLAYED, Answers, Player
+from tests.support.trials import person as person_of
 from tools.bench.sections.fit import RANDOM, fitted, sitter
 
 CURVE = {"25": -15.0, "40": -4.0, "70": 0.0, "100": 5.0, "200": -7.0}
@@ -168,7 +168,7 @@ def test_all_mistakes_of_a_sitter_are_said_at_once(state, person, facts, said):
         (["compare", "a"], "takes 2 to 4 names"),
         (["show", "a"], "no fit 'a'"),
         (["undo", "../a"], "cannot be named"),
-        ([], "no device to fit: name one with --device"),
+        (["--page"], "no device is named: give one with --device"),
         (["--device", "sink:a"], "not a terminal"),
     ],
 )
@@ -253,60 +253,23 @@ def test_gains_are_cut_at_12_db_and_without_loudness_control_never_above_0():
     assert (cut / plain).max() == pytest.approx(1.0)
 
 
-QUIET = Played(0.0, 0.0, 1.0, False, -20.0, -30.0, 0.0, 0, None, None)
-
-
-class Protecting:
-    """A player that keeps what it played, and whose protection limits one of the trials."""
-
-    def __init__(self):
-        self.files = []
-
-    def play(self, sound, vibration):
-        self.files.append(np.load(vibration))
-        return replace(QUIET, protection_db=3.0 * (len(self.files) == 4))
-
-    def wait(self, timeout_s):
-        return True
-
-    def stop(self):
-        pass
-
-    close = stop
-
-
-class Keys:
-    """Answers from a list."""
-
-    def __init__(self, *values):
-        self.values = list(values)
-
-    def show(self, question):
-        pass
-
-    def wait(self):
-        pass
-
-    def ask(self, question):
-        return Answer(self.values.pop(0), 0.0)
-
-
 def test_the_level_starts_low_is_raised_by_the_person_and_lowered_by_protection():
-    player = Protecting()
+    player = Player({4: replace(PLAYED, protection_db=3.0)})
     said = ["softer", "louder", "louder", "again", *["louder"] * 99, "good", "again", FIRST]
-    with Person(player, Keys(*said), lambda: None) as person:
-        person.choose_level()
-        answer = person.answer(Trial(0, 0, person.headroom_db, test_first=True))
-    peaks_db = [20.0 * np.log10(np.abs(frames).max()) for frames in player.files]
+    who = FittedPerson(person_of(player, Answers(*said)))
+    who.choose_level()
+    answer = who.answer(Trial(0, 0, who.headroom_db, test_first=True))
+    peaks_db = [20.0 * np.log10(np.abs(frames).max()) for _, frames in player.played]
     raised_db = np.array(peaks_db[:7]) - START_DBFS
     assert raised_db == pytest.approx([0.0, 0.0, 3.0, 6.0, 3.0, 6.0, 9.0], abs=0.1)
     assert max(peaks_db) <= PEAK_DBFS
-    assert answer == {"answer": FIRST, "again": 1, "reference_dbfs": -12.0}
+    kept = {key: answer[key] for key in ("answer", "again", "reference_dbfs")}
+    assert kept == {"answer": FIRST, "again": 1, "reference_dbfs": -12.0}
 
 
 def test_a_fit_ends_at_half_of_an_exposure_action_value():
-    read = ExposureFigures(1.0, 0.0, 0.26, 0.0, False, False, 0.0)
-    limited = pytest.raises(UsageError, match="half of the action value")
-    with Person(Protecting(), Keys(), lambda: read) as person, limited:
-        person.choose_level()
-    assert tones((25.0, -20.0)).size == round(0.7 * RATE_HZ)
+    player = Player(exposure=ExposureFigures(1.0, 0.0, 0.26, 0.0, False, False, 0.0))
+    with pytest.raises(UsageError, match="half of the action value"):
+        FittedPerson(person_of(player, Answers())).choose_level()
+    assert player.played == []
+    assert len(tones((25.0, -20.0))) == round(0.7 * RATE_HZ)

@@ -1,6 +1,7 @@
 """Trials on a real server: sound and vibration together, ended softly, and nothing else felt."""
 
 import threading
+import time
 from contextlib import closing
 from pathlib import Path
 
@@ -41,6 +42,11 @@ def long(tmp_path):
     return path
 
 
+def player_of(environ):
+    """A player of the daemon, which is closed at the end of the block."""
+    return closing(DaemonPlayer(time.monotonic, environ))
+
+
 def lags(path: Path) -> list[int]:
     """By how many frames the second channel of a recording comes after the first, in each trial."""
     heard, felt = soundfile.read(path)[0].T
@@ -63,7 +69,10 @@ def link_a_clock(server) -> None:
 
 def test_sound_and_vibration_of_a_trial_coincide(pipewire, noise, tmp_path):
     both = ("desktop", "monitor_FL"), ("haptic", "monitor_FL")
-    with running(pipewire, engine="native"), closing(DaemonPlayer(pipewire.environment)) as player:
+    with (
+        running(pipewire, engine="native"),
+        player_of(pipewire.environment) as player,
+    ):
         assert player.wait(10.0)
         with recorded_together(*both, tmp_path, pipewire.environment, RATE_HZ) as path:
             link_a_clock(pipewire)
@@ -76,7 +85,6 @@ def test_sound_and_vibration_of_a_trial_coincide(pipewire, noise, tmp_path):
     level_db = 10.0 * np.log10(np.sum(felt**2) / (5 * SECONDS * RATE_HZ))
     for one in played:
         assert one.level_dbfs == pytest.approx(level_db, abs=0.3)
-        assert one.peak_dbfs == pytest.approx(20.0 * np.log10(np.abs(felt).max()), abs=0.5)
         assert one.sound_began_s == one.vibration_began_s
         assert one.seconds == pytest.approx(SECONDS, abs=1e-3)
         assert not one.stopped
@@ -91,7 +99,7 @@ def test_the_vibration_waits_for_a_sound_whose_sink_declares_a_delay(
     environ = timed_pipewire.environment
     with (
         running(timed_pipewire, engine="native") as daemon,
-        closing(DaemonPlayer(environ)) as player,
+        player_of(environ) as player,
     ):
         assert player.wait(10.0)
         status = daemon.wait(lambda one: one.offset_reason == DECLARED, "the declared delay")
@@ -110,7 +118,7 @@ def test_the_vibration_waits_for_a_sound_whose_sink_declares_a_delay(
 def test_a_trial_ends_at_once_with_a_fade(pipewire, long, how, tmp_path):
     with (
         running(pipewire, engine="native"),
-        closing(DaemonPlayer(pipewire.environment)) as player,
+        player_of(pipewire.environment) as player,
         recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
     ):
         assert player.wait(10.0)
@@ -144,12 +152,12 @@ def test_tapped_sound_is_not_felt_during_a_session_and_felt_after_it(pipewire, t
         recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
     ):
         assert np.abs(more(felt, 1.0)).max() > FELT
-        with closing(DaemonPlayer(pipewire.environment)) as player:
+        with player_of(pipewire.environment) as player:
             assert player.wait(10.0)
             more(felt, 0.5)
             assert np.abs(more(felt, 1.0)).max() < FELT
             with pytest.raises(UsageError, match="another program plays trials"):
-                DaemonPlayer(pipewire.environment)
+                player_of(pipewire.environment)
         wait_for(lambda: np.abs(felt()[-RATE_HZ // 10 :]).max() > FELT, "vibration")
         assert "trials" not in pipewire.pactl("list", "short", "sinks")
 
@@ -157,7 +165,10 @@ def test_tapped_sound_is_not_felt_during_a_session_and_felt_after_it(pipewire, t
 def test_a_trial_whose_device_is_unplugged_was_not_played_and_is_played_when_it_is_back(
     pipewire, long, noise
 ):
-    with running(pipewire, engine="native"), closing(DaemonPlayer(pipewire.environment)) as player:
+    with (
+        running(pipewire, engine="native"),
+        player_of(pipewire.environment) as player,
+    ):
         assert player.wait(10.0)
         unplugging = threading.Timer(
             1.0, pipewire.pactl, ("unload-module", pipewire._modules["haptic"])
@@ -180,16 +191,17 @@ def test_protection_and_exposure_are_in_the_way_of_a_trial(pipewire, long, tmp_p
     soft = tmp_path / "soft.wav"
     soundfile.write(soft, 0.1 * tone(40.0, 1.0)[:, 0], RATE_HZ, subtype="FLOAT")
     environ = pipewire.environment
-    with running(pipewire, *options, engine="native"), closing(DaemonPlayer(environ)) as player:
+    with (
+        running(pipewire, *options, engine="native"),
+        player_of(environ) as player,
+    ):
         assert player.wait(15.0)
         quiet, played, again = (player.play(None, one) for one in (soft, loud, soft))
     print(quiet, played, again)
     assert again.level_dbfs == pytest.approx(quiet.level_dbfs, abs=1.0)
-    assert again.peak_dbfs >= quiet.peak_dbfs - 0.5
-    assert (quiet.protection_db, quiet.limited_blocks) == (0.0, 0)
+    assert quiet.protection_db == 0.0
     assert played.sound_began_s is None
     assert played.protection_db > 1.0
-    assert played.limited_blocks > 0
     assert played.a8_m_s2 is not None
     assert 0.0 < played.a8_m_s2 < 0.1
     assert played.vdv_m_s175 is not None
@@ -198,8 +210,8 @@ def test_protection_and_exposure_are_in_the_way_of_a_trial(pipewire, long, tmp_p
 
 def test_without_a_daemon_and_with_the_python_engine_it_says_what_to_do(pipewire):
     with pytest.raises(NotFoundError, match="start one with `cushion run`"):
-        DaemonPlayer(pipewire.environment)
-    with running(pipewire), closing(DaemonPlayer(pipewire.environment)) as player:
+        player_of(pipewire.environment)
+    with running(pipewire), player_of(pipewire.environment) as player:
         assert not player.wait(0.5)
         assert "trials need the native engine" in player.why_not
 
@@ -210,11 +222,9 @@ def test_without_a_daemon_and_with_the_python_engine_it_says_what_to_do(pipewire
         ((None, None), "needs a sound or a vibration"),
         (("missing.wav", None), "does not exist"),
         ((None, "stereo.wav"), "has 2 channels; allowed: up to 1"),
-        ((None, "text.npy"), "is no array of numbers"),
     ],
 )
 def test_files_that_cannot_be_played_are_named(files, said, tmp_path):
     soundfile.write(tmp_path / "stereo.wav", tone(70.0, 0.1), RATE_HZ)
-    (tmp_path / "text.npy").write_text("no array")
     with pytest.raises(UsageError, match=said):
         mixed(*(None if name is None else tmp_path / name for name in files))

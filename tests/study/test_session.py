@@ -3,20 +3,23 @@
 import json
 import random
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from audioflinger_hook.study.design_check import load
-from audioflinger_hook.study.people import People
-from audioflinger_hook.study.session import Person, Simulated, run
+from audioflinger_hook.study.design import load
+from audioflinger_hook.study.people import People, Simulated
+from audioflinger_hook.study.session import Participant
 from audioflinger_hook.study.stimuli import Stimuli
-from audioflinger_hook.trials import page
-from audioflinger_hook.trials.player import NotPlayedError, Played
+from audioflinger_hook.study.trials import Script
+from audioflinger_hook.trials.player import NotPlayedError
 from audioflinger_hook.trials.record import TrialRecord
+from audioflinger_hook.trials.session import run
 from device.errors import WriteError
 from tests.support.commands import call, start
 from tests.support.studies import QUESTIONS, TRUTHS, make_study
+from tests.support.trials import PLAYED, Answers, Player, person
 
 KILLS = 20
 
@@ -36,7 +39,7 @@ def test_interrupted_anywhere_a_session_ends_with_the_rows_of_an_uninterrupted_o
     def go(path, stop_after):
         with TrialRecord(path, design.digest) as record:
             who = Simulated(people, 0, stimuli, record.trials)
-            for done, _ in enumerate(run(design, 0, record, who), 1):
+            for done, _ in enumerate(run(record, Script(design, 0), who.answer), 1):
                 if done == stop_after:
                     raise Killed
 
@@ -114,7 +117,7 @@ def test_a_full_disk_ends_the_session_with_the_last_trial_saved(tmp_path):
     with Full(tmp_path / "r.jsonl", design.digest) as record:
         who = Simulated(People(design, {}, 1, 2), 0)
         with pytest.raises(WriteError):
-            list(run(design, 0, record, who))
+            list(run(record, Script(design, 0), who.answer))
     assert [row["trial"] for row in rows_of(tmp_path / "r.jsonl")] == [1, 2, 3, 4, 5]
 
 
@@ -152,63 +155,20 @@ def test_a_design_changed_after_the_first_participant_is_refused(tmp_path, name)
         assert (done.code, "another study" in done.stderr) == (2, True), done
 
 
-class ScriptedPage:
-    """Answers like a page, with the first choice, and once asks for the trial again."""
-
-    def __init__(self):
-        self.asked, self.shown = [], []
-
-    def show(self, question):
-        self.shown.append(question)
-
-    def ask(self, question):
-        self.asked.append(question)
-        if len(self.asked) == 3:
-            return page.Answer("again", 1.0)
-        slider = question.kind is page.Kind.SLIDER
-        return page.Answer(50.0 if slider else question.choices[0].value, 1.0)
-
-    def wait(self):
-        pass
-
-
-class ScriptedPlayer:
-    """Loses its device once, and is stopped once."""
-
-    def __init__(self):
-        self.played = []
-        self.waited = 0
-
-    def play(self, sound, vibration):
-        self.played.append((sound, vibration))
-        if len(self.played) == 5:
-            raise NotPlayedError("the device was lost")
-        return Played(1.0, 1.0, 0.5, len(self.played) == 9, -6.0, -20.0, 0.0, 0, None, None)
-
-    def wait(self, timeout_s):
-        self.waited += 1
-        return self.waited > 1
-
-    def stop(self):
-        pass
-
-    def close(self):
-        pass
-
-
 def test_a_person_hears_again_waits_for_the_device_and_answers_each_trial_once(tmp_path):
     make_study(tmp_path, *QUESTIONS, more="block = 50")
     design = load(tmp_path)
-    answers, player = ScriptedPage(), ScriptedPlayer()
+    lost, stopped = NotPlayedError("the device was lost"), replace(PLAYED, stopped=True)
+    answers, player = Answers(None, None, "again"), Player({5: lost, 9: stopped})
     with TrialRecord(tmp_path / "r.jsonl", design.digest) as record:
-        person = Person(answers, player, Stimuli(design), 9)
-        total = len(list(run(design, 0, record, person)))
+        who = Participant(person(player, answers), Stimuli(design), 9)
+        total = len(list(run(record, Script(design, 0), who.answer, who.pause)))
         rows = record.trials
     assert [row["trial"] for row in rows] == list(range(1, total + 1))
     assert sum(row["again"] for row in rows) == 1
     assert player.waited == 2
     assert len(player.played) == 2 + 2 + sum(1 + ("condition_2" in row) for row in rows)
-    assert sum(q.title == "Pause" for q in answers.asked) == (total - 12) // 50
-    kinds = {q.kind for q in answers.asked if q.choices or q.kind is page.Kind.SLIDER}
-    assert kinds == {page.Kind.CHOICE, page.Kind.SLIDER, page.Kind.ONE_OF, page.Kind.TEXT}
+    assert sum(q["title"] == "Pause" for q in answers.asked) == (total - 12) // 50
+    kinds = {q["kind"] for q in answers.asked if q["choices"] or q["kind"] == "slider"}
+    assert kinds == {"choice", "slider", "one of", "text"}
     assert all(len(row["vibration_sha256_1"]) == 64 for row in rows)

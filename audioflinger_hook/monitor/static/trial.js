@@ -4,7 +4,7 @@ import { Connection } from "/connection.js";
 import { element, fill, find } from "/elements.js";
 
 const GONE = "The program of the session does not answer. All answers are kept; run its command again.";
-const WAITING = { number: 0, kind: "playing", title: "One moment", text: [], choices: [], also: [], labels: [], parts: [], done: 0, total: 0 };
+const WAITING = { number: 0, kind: "playing", title: "One moment", text: [], choices: [], also: [], labels: [], done: 0, total: 0 };
 const light = matchMedia("(prefers-color-scheme: light)");
 const state = { screen: WAITING, drawn: null, paused: false, pauses: 0, pausedMs: 0, pausedAt: 0, ended: false, stopped: false };
 const connection = new Connection((kind, content) => {
@@ -49,7 +49,6 @@ class Screen {
     Object.assign(this, { screen, answered: false });
     Object.assign(state, { drawn: screen, pauses: 0, pausedMs: 0, pausedAt: performance.now() });
     this.api.cancelAllKeyboardResponses();
-    this.api.clearAllTimeouts();
     showHead(screen);
     const title = element("h1", { tabindex: "-1" }, screen.title);
     this.buttons = [];
@@ -57,12 +56,11 @@ class Screen {
       ...(screen.practice ? [element("strong", { class: "practice" }, "Practice")] : []),
       title,
       ...screen.text.map((paragraph) => element("p", {}, paragraph)),
-      ...this.parts(screen.parts),
       ...(screen.kind === "slider" ? this.slider(screen) : []),
       ...this.row(screen.choices, `choices ${screen.kind.replace(" ", "-")}`),
       ...this.row(screen.also, "also"),
     );
-    const keys = new Map([...screen.choices, ...screen.also].filter(({ key }) => key).map(({ key, value }) => [key, value]));
+    const keys = new Map([...screen.choices, ...screen.also].filter(([, , key]) => key).map(([value, , key]) => [key, value]));
     if (keys.size) {
       const callback_function = ({ key }) => this.answer(keys.get(key));
       this.api.getKeyboardResponse({ callback_function, valid_responses: [...keys.keys()], persist: true, allow_held_key: false });
@@ -70,17 +68,6 @@ class Screen {
     title.focus(); // keys work, and a screen reader reads the question
     this.beganAt = performance.now();
     if (screen.number !== state.screen.number) jsPsych.finishTrial({ number: screen.number }); // another one came meanwhile
-  }
-
-  /** Labels, each lit while its part plays. */
-  parts(parts) {
-    const tiles = parts.map(([label, begin, end]) => {
-      const tile = element("li", {}, label);
-      this.api.setTimeout(() => tile.setAttribute("aria-current", "true"), 1e3 * begin);
-      this.api.setTimeout(() => tile.removeAttribute("aria-current"), 1e3 * end);
-      return tile;
-    });
-    return tiles.length ? [element("ol", { class: "parts-playing" }, ...tiles)] : [];
   }
 
   slider({ labels, title }) {
@@ -102,7 +89,7 @@ class Screen {
   }
 
   row(choices, kind) {
-    const made = choices.map(({ value, label, key }) => this.button(label, key, () => this.answer(value)));
+    const made = choices.map(([value, label, key]) => this.button(label, key, () => this.answer(value)));
     return made.length ? [element("div", { class: kind }, ...made)] : [];
   }
 
@@ -126,13 +113,12 @@ class Screen {
   }
 }
 
-function showHead({ kind, done, total, can_pause, choices }) {
+function showHead({ kind, done, total, choices }) {
   find("progress").hidden = !total;
   Object.assign(find("bar-done"), { max: total || 1, value: done });
   find("counts").textContent = `${done} of ${total}`;
   const over = kind === "text" && !choices.length;
-  find("pause").hidden = !can_pause || over;
-  find("stop").hidden = over;
+  find("pause").hidden = find("stop").hidden = over;
 }
 
 async function tell(request) {
