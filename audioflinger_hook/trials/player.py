@@ -203,10 +203,10 @@ def _read(source: Frames, most: int) -> Float32Array:
     """Return frames at RATE_HZ, (frames, channels)."""
     if not isinstance(source, Path):
         return np.zeros((0, 1), np.float32) if source is None else source
+    parts = []
     with closing(FileTap(source)) as tap:
         if tap.channels > most:
             raise UsageError(f"{source} has {tap.channels} channels; allowed: up to {most}")
-        parts = []
         while (part := tap.read()) is not None:
             parts.append(part)
     frames = np.concatenate(parts)

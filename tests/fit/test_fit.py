@@ -163,7 +163,7 @@ def test_all_mistakes_of_a_sitter_are_said_at_once(state, person, facts, said):
         (["--simulate", "nowhere.json"], "nowhere.json cannot be read"),
         (["--seed", "-1"], "seed=-1"),
         (["--minutes", "0"], "minutes=0"),
-        (["--name", "../x", "--page"], "fit"),
+        (["--name", "../x", "--device", "sink:a"], "fit"),
         (["shwo"], "did you mean show?"),
         (["compare", "a"], "takes 2 to 4 names"),
         (["show", "a"], "no fit 'a'"),
