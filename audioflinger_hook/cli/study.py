@@ -6,6 +6,7 @@ import time
 from contextlib import ExitStack, closing
 from datetime import UTC, datetime
 from hashlib import sha256
+from os.path import relpath
 from pathlib import Path
 from typing import Any
 
@@ -108,38 +109,33 @@ def _check(options: argparse.Namespace) -> int:
     return 0
 
 
-def _registered(design: Design) -> dict[str, Any] | None:
+def _register(design: Design) -> dict[str, Any]:
+    """Return the preregistration, with the design's sums, which is stored if it is new.
+
+    UsageError: people took part in another design, or the stored file is damaged.
+    """
     path = design.folder / PREREGISTRATION
-    if not path.exists():
-        return None
-    try:
-        found = json.loads(path.read_text())
-        return {"registered": str(found["registered"]), **found, "files": dict(found["files"])}
-    except (ValueError, KeyError, TypeError, OSError):
-        raise UsageError(f"{path} is damaged; restore it, or delete it to register again") from None
-
-
-def _register(design: Design) -> None:
-    """Store the design's sums. UsageError: people took part in another design."""
-    sums = {
-        str(path.relative_to(design.folder) if path.is_relative_to(design.folder) else path): (
-            sha256(path.read_bytes()).hexdigest()
-        )
-        for path in design.files
-    }
+    files = {relpath(file, design.folder): file for file in design.files}
+    sums = {name: sha256(file.read_bytes()).hexdigest() for name, file in files.items()}
     now = {"design_sha256": design.digest, "files": sums}
-    before = _registered(design)
-    if before and all(before[key] == now[key] for key in now):
-        return
-    if before and records.begun(design):
-        wrong = [name for name, digest in sums.items() if before["files"].get(name) != digest]
-        what = wrong[0] if before["design_sha256"] == design.digest and wrong else DESIGN
+    try:
+        before = json.loads(path.read_text()) if path.exists() else {"files": {}}
+        known = {DESIGN: before.get("design_sha256"), **before["files"]}
+    except (ValueError, KeyError, TypeError, AttributeError, OSError):
+        raise UsageError(f"{path} is damaged; restore it, or delete it to register again") from None
+    wrong = [
+        name for name, one in ({DESIGN: design.digest} | sums).items() if known.get(name) != one
+    ]
+    if not wrong:
+        return before
+    if path.exists() and records.begun(design):
         raise UsageError(
-            f"{what} has changed since the first participant; restore it, or copy the folder "
+            f"{wrong[0]} has changed since the first participant; restore it, or copy the folder "
             "without data and preregistration.json: a changed design is another study"
         )
-    document = json.dumps({**now, "version": __version__, "registered": _now()}, indent=2)
-    write_bytes_atomically(design.folder / PREREGISTRATION, f"{document}\n".encode())
+    document = {**now, "version": __version__, "registered": _now()}
+    write_bytes_atomically(path, f"{json.dumps(document, indent=2)}\n".encode())
+    return document
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -212,10 +208,9 @@ def _show(address: str) -> None:
 
 def _report(options: argparse.Namespace) -> int:
     design = load(options.folder)
-    _register(design)
-    people = records.participants(design)
+    registered, people = _register(design), records.participants(design)
     records.write_table(design, people)
-    document = report.as_document(design, _registered(design), people)
+    document = report.as_document(design, registered, people)
     if options.json:
         print(json.dumps(document, indent=2))
         return 0

@@ -2,7 +2,7 @@
 
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from itertools import combinations
@@ -27,7 +27,7 @@ TABLE = tomllib.loads((BUILT_IN / "paradigms.toml").read_text())
 PARADIGMS = ("preference", "rating", "synchrony", "threshold", "equal", "identification")
 OFFSETS_MS = (-200.0, -120.0, -80.0, -40.0, -20.0, 0.0, 20.0, 40.0, 80.0, 120.0, 200.0)
 GAP_S = 0.4  # silence between the two intervals of a trial
-NEUTRAL = {"conditions": (), "stimuli": (), "repeats": 0}  # in place of refused values
+NEUTRAL = {"conditions": (), "stimuli": (), "repeats": 0}  # in place of refused values; else ""
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,10 @@ class _Free(Text):
 def _are_offsets(value: Any) -> bool:
     different = isinstance(value, list) and len(set(map(str, value))) == len(value) >= 3
     return different and not any(map(Number("", -500.0, 500.0).refuse, value))
+
+
+OFFSETS = _Free("delays", "3 or more different numbers, -500 to 500", is_good=_are_offsets)
+EFFECT = _Free("of the power", "{worth = {NAME = 1}}", is_good=lambda one: isinstance(one, dict))
 
 
 @dataclass(frozen=True)
@@ -81,30 +85,19 @@ class Question(Described):
     ask: Annotated[str, Text("text of the question; by default the paradigm's")] = ""
     reference: Annotated[str, Text("the reference's condition")] = ""
     anchor: Annotated[str, Text("the hidden anchor's condition")] = ""
-    judgement: Annotated[
-        str, Choice("what is asked about synchrony", ("simultaneity", "order"))
-    ] = "simultaneity"
-    offsets_ms: Annotated[
-        Sequence[float],
-        _Free("delays", "3 or more different numbers, -500 to 500", is_good=_are_offsets),
-    ] = OFFSETS_MS
+    judgement: Annotated[str, Choice("what is asked", ("simultaneity", "order"))] = "simultaneity"
+    offsets_ms: Annotated[Sequence[float], OFFSETS] = OFFSETS_MS
     lowest_db: Annotated[float, Number("weakest level of adaptive trials", -80, -5, "dB")] = -40.0
     highest_db: Annotated[float, Number("strongest level of adaptive trials", 0, 20, "dB")] = 0.0
     sound: Annotated[bool, Switch("whether the sound is heard")] = True
     exploratory: Annotated[bool, Switch("whether the question is not preregistered")] = False
-    effect: Annotated[
-        Mapping[str, Any] | None,
-        _Free(
-            "true parameters for the power",
-            "{worth = {NAME = 1}}",
-            is_good=lambda value: isinstance(value, dict),
-        ),
-    ] = None
+    effect: Annotated[Mapping[str, Any] | None, EFFECT] = None
 
     @property
     def kind(self) -> Mapping[str, Any]:
         """The paradigm's row of `paradigms.toml`; of an unknown paradigm, that of synchrony."""
-        return TABLE.get(self.paradigm) or TABLE[self.judgement]
+        row: Mapping[str, Any] = TABLE.get(self.paradigm) or TABLE[self.judgement]
+        return row
 
     @property
     def is_adaptive(self) -> bool:
@@ -136,19 +129,13 @@ class Study(Described):
     participants: Annotated[int, Number("participants after whom it ends", 2, 10_000, whole=True)]
     seed: Annotated[int, Number("seed of all random orders", 0, 2**31, whole=True)] = 1
     consent: Annotated[str, Text("text that participants agree to")] = "I take part voluntarily."
-    level_db: Annotated[
-        float, Number("level, relative to a full-scale sine of 80 Hz", -60, 0, "dB")
-    ] = -25.0
-    masking_db: Annotated[
-        float | None, Number("pink noise over the sound", -80, -10, "dBFS", word="off")
-    ] = None
+    level_db: Annotated[float, Number("level of all vibrations", -60, 0, "dB")] = -25.0
+    masking_db: Annotated[float | None, Number("noise", -80, -10, "dBFS", word="off")] = None
     practice: Annotated[int, Number("practice trials of a question", 0, 100, whole=True)] = 2
     block: Annotated[int, Number("trials between two pauses", 1, 1000, whole=True)] = 20
     answer_s: Annotated[float, Number("expected time of an answer", 0.1, 60, "s")] = 2.5
     power: Annotated[float, Number("wanted power", 0.5, 0.99)] = 0.8
-    fastest_s: Annotated[
-        float, Number("exclude participants with a faster median answer", 0, 5, "s")
-    ] = 0.2
+    fastest_s: Annotated[float, Number("exclude with a faster median answer", 0, 5, "s")] = 0.2
     reference_below: Annotated[float, Number("exclude who rate the reference lower", 0, 100)] = 90.0
     reference_share: Annotated[float, Number("in more than this share of trials", 0, 1)] = 0.15
 
@@ -208,95 +195,86 @@ def check(folder: Path) -> tuple[Design, list[Mistake]]:
     if not (folder / DESIGN).exists():
         raise UsageError(f"{folder} has no {DESIGN}; make it: `cushion study new {folder}`")
     content = text_of(folder / DESIGN)
-    document, mistakes = parse(content)
-    found: list[tuple[str, Any, Refusal]] = []  # key, value and why it is refused
+    (document, mistakes), lines, refused = parse(content), lines_of_keys(content), set[str]()
+
+    def tell(key: str, value: Any, why: Refusal) -> None:
+        shown = list(value) if isinstance(value, tuple) else value
+        shown = "" if value is None or isinstance(value, dict) else printable(str(shown))
+        line = lines.get(key) or lines.get(key.rpartition(".")[0]) or 0
+        mistakes.append(Mistake(printable(key), line, shown, why.wrong, why.allowed, why.nearest))
+
+    def read(kind: type[Described], row: Mapping[str, Any], prefix: str) -> Any:
+        known = kind.DESCRIPTIONS
+        for key in row.keys() - known.keys():
+            allowed = ", ".join(known)
+            tell(prefix + key, None, Refusal("is an unknown key", allowed, nearest(key, known)))
+        values = {key: known[key].resolved(row[key], folder) for key in row if key in known}
+        refusals = kind.refusals(values)
+        for key, why in refusals.items():
+            tell(prefix + key, row.get(key), why)
+            refused.add(prefix + key)
+        accepted = {key: known[key].typed(values[key]) for key in values if key not in refusals}
+        one = object.__new__(kind)  # not validated, to find the other mistakes as well
+        vars(one).update(dict.fromkeys(refusals, "") | NEUTRAL | kind.defaults() | accepted)
+        return one
+
     tables: dict[str, list[Any]] = {}
     for name, kind in (("stimulus", Stimulus), ("condition", Condition), ("question", Question)):
         rows = document.pop(name, [])
         if not isinstance(rows, list) or not rows or not all(isinstance(r, dict) for r in rows):
-            allowed = f"one or more [[{name}]]"
-            found.append((name, None, Refusal("is missing, so there are zero trials", allowed)))
-            rows = []
-        tables[name] = [
-            _read(kind, row, folder, f"{name}[{number}].", found)
-            for number, row in enumerate(rows, 1)
-        ]
-    study = _read(Study, document, folder, "", found)
-    refused = {key for key, _, _ in found}
+            allowed, rows = f"one or more [[{name}]]", []
+            tell(name, None, Refusal("is missing, so there are zero trials", allowed))
+        tables[name] = [read(kind, row, f"{name}[{n}].") for n, row in enumerate(rows, 1)]
+    study = read(Study, document, "")
     by_name = [{one.name: one for one in ones} for ones in tables.values()]
     design = Design(folder, design_digest((folder / DESIGN).read_bytes()), study, *by_name)
     for name, ones in tables.items():
         times = Counter(one.name for one in ones)
         for number, one in enumerate(ones, 1):
-            told = list(_contradictions(one, design))
+            found = list(_contradictions(one, design))
             if one.name and times[one.name] > 1:
                 wrong = f"is the name of {times[one.name]} [[{name}]]: a duplicate"
-                told.append(("name", wrong, "names that differ", ()))
-            for key, wrong, allowed, known in told:
+                found.append(("name", Refusal(wrong, "names that differ")))
+            for key, why in found:
                 if (full := f"{name}[{number}].{key}") not in refused:
-                    value = getattr(one, key)
-                    guess = nearest(value, known) if isinstance(value, str) else ""
-                    found.append((full, value or None, Refusal(wrong, allowed, guess)))
+                    tell(full, getattr(one, key) or None, why)
     if (hours := design.hours) > HOURS_MAX:
         why = Refusal(f"takes {hours:.1f} h for each participant", f"at most {HOURS_MAX:g} h")
-        found.append(("this study", None, why))
-    lines = lines_of_keys(content)
-    for key, value, why in found:
-        shown = list(value) if isinstance(value, tuple) else value
-        shown = "" if value is None or isinstance(value, dict) else printable(str(shown))
-        line = lines.get(key) or lines.get(key.rpartition(".")[0]) or 0
-        mistakes.append(Mistake(printable(key), line, shown, why.wrong, why.allowed, why.nearest))
+        tell("this study", None, why)
     return design, sorted(mistakes, key=lambda mistake: mistake.line)
 
 
-def _read(
-    kind: type[Described], row: Mapping[str, Any], folder: Path, prefix: str, found: list[Any]
-) -> Any:
-    """Return an object with the accepted values, not validated; append the others to `found`."""
-    known = kind.DESCRIPTIONS
-    for key in row.keys() - known.keys():
-        why = Refusal("is an unknown key", ", ".join(known), nearest(key, known))
-        found.append((f"{prefix}{key}", None, why))
-    values = {key: known[key].resolved(row[key], folder) for key in row if key in known}
-    refusals = kind.refusals(values)
-    found += [(f"{prefix}{key}", row.get(key), why) for key, why in refusals.items()]
-    accepted = {key: known[key].typed(values[key]) for key in values if key not in refusals}
-    one = object.__new__(kind)
-    vars(one).update({key: NEUTRAL.get(key, "") for key in refusals} | kind.defaults() | accepted)
-    return one
-
-
-def _contradictions(one: Any, design: Design) -> Iterator[tuple[str, str, str, Iterable[str]]]:
-    """Yield key, problem, allowed values, and known names of what is wrong beside other values."""
+def _contradictions(one: Any, design: Design) -> Iterator[tuple[str, Refusal]]:
+    """Yield the keys that are wrong beside other values, and why."""
     if isinstance(one, Stimulus):
         if str(one.file) and not SOUND_S[0] <= (seconds := one.duration_s) <= SOUND_S[1]:
             wrong = f"lasts {seconds:.3g} s" if seconds else "is not a sound file"
             allowed = "a sound of {:g} to {:g} s that libsndfile reads".format(*SOUND_S)
-            yield "file", wrong, allowed, ()
+            yield "file", Refusal(wrong, allowed)
     elif isinstance(one, Condition):
         if one.method and one.method not in METHODS and not {".", "/"} & {*one.method}:
             allowed = f"{', '.join(METHODS)}, or a file, such as {{stimulus}}.wav"
-            yield "method", "is not known", allowed, METHODS
+            yield "method", Refusal("is not known", allowed, nearest(one.method, METHODS))
             return
         for path in {design.vibration_file(one, name): 0 for name in design.stimuli}:
             if one.method and path and not path.is_file():
-                yield "method", f"needs {path}, which is no file", "existing files", ()
+                yield "method", Refusal(f"needs {path}, which is no file", "existing files")
     else:
         for key, known in (("conditions", design.conditions), ("stimuli", design.stimuli)):
             names, least = getattr(one, key), one.kind[key]
             for name, count in Counter(names).items():
                 if name not in known:
-                    guess = f"; did you mean {near}?" if (near := nearest(name, known)) else ""
-                    wrong = f"has {name!r}, which the design does not describe{guess}"
-                    yield key, wrong, ", ".join(known), ()
+                    wrong = f"has {name!r}, which the design does not describe"
+                    yield key, Refusal(wrong, ", ".join(known), nearest(name, known))
                 if count > 1:
-                    yield key, f"has the duplicate {name!r}", "each name once", ()
+                    yield key, Refusal(f"has the duplicate {name!r}", "each name once")
             if len(names) < least:
                 allowed = f"{least} or more for {one.paradigm or 'a question'}"
-                yield key, f"has {len(names)} names", allowed, ()
+                yield key, Refusal(f"has {len(names)} names", allowed)
         for key in one.kind["hidden"]:
             if (name := getattr(one, key)) not in one.conditions:
                 wrong = "is not among the conditions" if name else "is missing"
-                yield key, wrong, ", ".join(one.conditions), ()
+                yield key, Refusal(wrong, ", ".join(one.conditions))
         if one.kind["is_balanced"] and one.repeats % 2:
-            yield "repeats", "is odd, so order and side cannot be balanced", "even numbers", ()
+            wrong = "is odd, so order and side cannot be balanced"
+            yield "repeats", Refusal(wrong, "even numbers")

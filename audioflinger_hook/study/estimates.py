@@ -56,7 +56,7 @@ def estimate(measured: Measured, seed: int) -> FloatArray:
         )  # fmt: skip
         lows, highs = drawn.confidence_interval
         values = 2.0 * values - drawn.bootstrap_distribution.mean(axis=-1)
-    return np.clip((values, lows, highs), measured.low, measured.high)
+    return np.asarray(np.clip((values, lows, highs), measured.low, measured.high))
 
 
 def p_values(measured: Measured) -> tuple[float | None, dict[str, float]]:

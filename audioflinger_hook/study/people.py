@@ -12,6 +12,7 @@ from audioflinger_hook.study.estimates import Measured, p_values
 from audioflinger_hook.study.paradigms import chances, measure
 from audioflinger_hook.study.stimuli import Stimuli
 from audioflinger_hook.study.trials import Script
+from audioflinger_hook.trials.player import Played
 from audioflinger_hook.trials.record import Rows
 from audioflinger_hook.trials.session import run
 from audioflinger_hook.trials.simulated import drawn, people_file, with_lapses
@@ -20,7 +21,6 @@ from device.units import FloatArray
 from device.values import Described, Number, nearest
 
 STUDIES, LEVEL = 100, 0.05
-NOTHING = dict.fromkeys(("a8_m_s2", "vdv_m_s175"))  # no rig measures exposure
 
 
 @dataclass(frozen=True)
@@ -141,10 +141,8 @@ class Simulated:
         columns: dict[str, Any] = {}
         for i, one in enumerate(self._stimuli.of(row) if self._stimuli else (), 1):
             now_s = None if one.sound is None else self._now_s
-            columns |= one.columns(
-                i, sound_began_s=now_s, vibration_began_s=self._now_s, seconds=one.seconds,
-                stopped=False, level_dbfs=one.level_dbfs, protection_db=0.0, **NOTHING,
-            )  # fmt: skip
+            what = now_s, self._now_s, one.seconds, False, one.level_dbfs, 0.0, None, None
+            columns |= one.columns(i, Played(*what))
             self._now_s += one.seconds + GAP_S
         columns |= self._people.answer(row, self._number)
         self._now_s += columns["answered_after_s"]

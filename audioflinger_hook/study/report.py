@@ -26,12 +26,11 @@ LIBRARIES = ("numpy", "scipy")
 
 
 def as_document(
-    design: Design, registered: Mapping[str, Any] | None, people: Sequence[Participant]
+    design: Design, registered: Mapping[str, Any], people: Sequence[Participant]
 ) -> dict[str, Any]:
     """Return all results, for JSON. The table `data/trials.csv` must be written before.
 
-    registered: the preregistration; None if there is none. UsageError: nobody has finished, or all
-    are excluded.
+    registered: the preregistration. UsageError: nobody has finished, or all are excluded.
     """
     kept = [one for one in people if not one.excluded]
     if not kept:
@@ -39,7 +38,7 @@ def as_document(
         why = "; ".join(f"{count} {reason}" for reason, count in told.items()) or "nobody began"
         raise UsageError(f"{design.folder} has no finished participant ({why}); run the study")
     begun = min(str(one.header.get("begun")) for one in people)
-    when = str(registered["registered"]) if registered else ""
+    when = str(registered.get("registered", "unknown"))
     table = (design.folder / DATA / TABLE).read_bytes()
     versions = {f"SHA-256 of {DESIGN}": design.digest, f"SHA-256 of {TABLE}": _sha256(table)}
     versions |= {"haptic-cushion": __version__, "transform": str(TRANSFORM_VERSION)}
@@ -47,7 +46,7 @@ def as_document(
     return {
         "title": design.study.title,
         "simulated": bool(people[0].header.get("simulated")),
-        "registered": when if when and when <= begun else None,
+        "registered": when if when <= begun else None,
         "participants": {"wanted": design.study.participants, "began": len(people)},
         "excluded": {one.code: one.excluded for one in people if one.excluded},
         "versions": versions,
@@ -76,7 +75,7 @@ def _results(design: Design, question: Question, people: Sequence[Participant]) 
     values = estimate(measured, design.study.seed)
     (p, p_of), each = p_values(measured), measured.features
     own = each.T if each.ndim == 2 else np.empty((len(measured.names), 0))
-    ends = np.where(np.isnan(values), None, values.astype(object))
+    ends = [[None if np.isnan(one) else one for one in row] for row in values.tolist()]
     found: dict[str, Any] = {
         "paradigm": question.paradigm,
         "exploratory": question.exploratory,

@@ -1,7 +1,6 @@
 """A participant who feels what the daemon plays, and answers on the page."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
 from typing import Any
 
 from audioflinger_hook.study.stimuli import Stimuli
@@ -11,7 +10,6 @@ from audioflinger_hook.trials.person import Interval, Person
 LABELS = {"1": "First", "2": "Second"}
 PAUSE = "Take a pause. Go on when you are ready."
 THANKS = "This was the last question. Thank you for taking part."
-ENDS = ("bad", "fair", "excellent")
 
 
 class Participant:
@@ -42,8 +40,8 @@ class Participant:
             for number, choice in enumerate(row["choices"], 1)
         ]
         kind, title = question.kind["screen"], question.ask or question.kind["ask"]
-        ends = ENDS if kind == "slider" else ()
-        asked = screen(kind, title, choices=choices, also=[AGAIN], labels=ends, **about)
+        labels = question.kind.get("labels", ())
+        asked = screen(kind, title, choices=choices, also=[AGAIN], labels=labels, **about)
 
         def intervals() -> Iterator[Interval]:
             for number, one in enumerate(made, 1):
@@ -53,7 +51,7 @@ class Participant:
         played, answered = self._person.answer(intervals, asked)
         columns: dict[str, Any] = {}
         for number, (one, measured) in enumerate(zip(made, played, strict=True), 1):
-            columns |= one.columns(number, **asdict(measured))
+            columns |= one.columns(number, measured)
         return columns | answered
 
     def _read(self, title: str, text: str, *choices: Choice) -> str | float:

@@ -20,9 +20,10 @@ from scipy.signal import sosfilt
 
 from audioflinger_hook.baselines import BASELINES
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.daemon.trial_sound import RATE_HZ
 from audioflinger_hook.offline.render import render_file
 from audioflinger_hook.study.design import GAP_S, NONE, Design
-from audioflinger_hook.trials.player import RATE_HZ, mixed
+from audioflinger_hook.trials.player import Played, mixed
 from device.drive.exposure import wk_sections
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray, amplitude_to_db, db_to_amplitude
@@ -50,9 +51,9 @@ class Interval:
         """Duration."""
         return len(self.vibration) / RATE_HZ
 
-    def columns(self, number: int, **played: Any) -> dict[str, Any]:
-        """Return the columns of interval `number`, 1 or 2. played: what was measured."""
-        made = {"vibration_sha256": self.digest, "weighted_db": self.weighted_db, **played}
+    def columns(self, number: int, played: Played) -> dict[str, Any]:
+        """Return the columns of interval `number`, 1 or 2."""
+        made = {"vibration_sha256": self.digest, "weighted_db": self.weighted_db} | vars(played)
         return {f"{key}_{number}": value for key, value in made.items()}
 
 
@@ -68,8 +69,9 @@ class Stimuli:
         questions = [one for one in design.questions.values() if one.paradigm == "synchrony"]
         offsets = [abs(ms) for question in questions for ms in question.offsets_ms]
         self._pad = round(RATE_HZ * (0.5 * GAP_S + (max(delays) + max(offsets, default=0)) / 1e3))
-        self._interval, self._sound = lru_cache(64)(self._make), cache(self._read)
-        self._unit, self._level, self._heard = map(cache, (self._compute, self._common, self._mask))
+        self._interval, self._unit = lru_cache(64)(self._make), cache(self._compute)
+        self._sound, self._heard = cache(self._read), cache(self._mask)
+        self._level = cache(self._common)
 
     def of(self, row: Mapping[str, Any]) -> list[Interval]:
         """Return all intervals of a trial. UsageError: they cannot be made."""
@@ -142,7 +144,7 @@ class Stimuli:
         if condition.method in BASELINES:
             stream = BASELINES[condition.method](RATE_HZ, 2)
             whole = np.concatenate((stream.process(sound), stream.finish()))[:, 0]
-            found: FloatArray = whole[stream.latency_frames :]
+            found: FloatArray | Float32Array = whole[stream.latency_frames :]
         elif path := self.design.vibration_file(condition, stimulus):
             found = mixed(None, path)[:, 2]
             if abs(len(found) - len(sound)) > 0.001 * RATE_HZ:
@@ -157,8 +159,8 @@ class Stimuli:
         if _rms(found) < SILENT:
             told = f"condition {name!r} gives no vibration for {stimulus!r}"
             raise UsageError(f"{told}; leave one of them out of the question")
-        found = np.resize(found, len(sound))
-        return found / weighted_level(found, len(sound))
+        whole = np.resize(found, len(sound)).astype(float)
+        return whole / weighted_level(whole, len(sound))
 
     def _common(self, stimulus: str) -> float:
         """Return the level of all conditions of a sound: the study's, or lower if one needs it."""
