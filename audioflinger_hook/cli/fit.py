@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
                     "with --page, or try it with --simulate SITTER.json"
                 )
             player = stack.enter_context(opened(options.device or "", time.monotonic))
-            device = player.status.device.address
+            device = player.status().device.address
             about = {}
         name = options.name or fits.name_for(device)
         path = fits.path_of(name).with_suffix(".jsonl")

@@ -72,11 +72,6 @@ class Engines:
         return NATIVE_TICK_S if native is not None and native.is_steady else None
 
     @property
-    def muted(self) -> bool:
-        """Whether the user has muted the vibration."""
-        return self._config.muted
-
-    @property
     def playing(self) -> tuple[str, str]:
         """Name of the engine that plays ("native", "python" or ""), and why it is not "native"."""
         native = self.native.engine

@@ -9,6 +9,7 @@ value wins. Values are checked like values of the config file. A request has one
     "tone": {"hz": 60, "level": 0.2}           start the test tone; null stops the tone
     "sync": {"try_ms": 120}                    play an offset on trial; null ends the trial
     "sync": {"store_ms": 120}                  store an offset for the present pair of sinks
+    "trial": {"who": "1"}                      play trials; see `daemon/trials.py`
     "undo": true                               undo the last change of the config
     "save": true                               write the changes to the config file
 
@@ -33,11 +34,9 @@ from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.page_frames import frame_of
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
-from audioflinger_hook.daemon.trial_session import play_trials
 from audioflinger_hook.service.install import own_command
 from audioflinger_hook.service.one_line import one_line
 from audioflinger_hook.service.request_queue import RequestQueue
-from audioflinger_hook.service.status_server import Talk
 from device.errors import CushionError, UsageError
 from device.units import db_to_amplitude
 from device.values import Described
@@ -96,16 +95,17 @@ class LiveControl:
             done.set()
 
         asked = {name: value for name, value in request.items() if name not in ENVELOPE}
+        if asked.keys() == {"trial"} and isinstance(asked["trial"], dict):
+            try:  # in this thread, as a lease must not wait for another request
+                return self._supervisor.trials.ask(asked["trial"])
+            except CushionError as error:
+                return {"error": one_line(str(error), 400)}
         if self._waiting.put(asked, answer):  # else the main thread has been woken
             self._ring()
         if not done.wait(ANSWER_S):
             self._waiting.drop(answer)
             return {"error": f"the daemon has not answered within {ANSWER_S:g} s; try again"}
         return answers[0]
-
-    def play_trials(self, talk: Talk) -> None:
-        """Play the trials of a client until it leaves."""
-        play_trials(self._supervisor.trials, talk)
 
     def rest_s(self, now_s: float) -> float:
         """Return the time until `work` can carry out the next waiting request; inf for none."""

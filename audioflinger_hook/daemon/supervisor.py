@@ -203,7 +203,7 @@ class Supervisor:
                 if connection is None:
                     return
             snapshot = connection.latest if connection else None
-            self._maintain_trials(connection, now_s)
+            self.trials.maintain(connection, *self._found, now_s, muted=self.config.muted)
             device = self._locate_device(snapshot, now_s)
             if device is None:
                 return
@@ -344,13 +344,6 @@ class Supervisor:
             if engine:
                 engine.rest()
         return True
-
-    def _maintain_trials(self, connection: PulseConnection | None, now_s: float) -> None:
-        source, device = self._found
-        heard = source.monitor_of if isinstance(source, Source) else None
-        if connection is not None:
-            heard = heard or connection.latest.default_sink
-        self.trials.maintain(connection, heard or "", device.name if device else "", now_s)
 
     def _connected(self, now_s: float) -> PulseConnection | None:
         if lost := self._link.lost:

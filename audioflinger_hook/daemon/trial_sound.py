@@ -9,12 +9,13 @@ import numpy as np
 from audioflinger_hook.daemon.native.chain import Chain
 from device.drive.exposure import DoseSums, Exposure
 from device.errors import UsageError
-from device.units import Float32Array, amplitude_to_db
+from device.units import Float32Array, FloatArray, amplitude_to_db
 
 RATE_HZ = 48_000
 COLUMNS = 3  # of a trial's file: left and right sound, vibration
 CHANNELS = 4  # of the stream; the last one is silent
 FADE_S, LONGEST_S = 0.05, 120.0
+FADE = 0.5 - 0.5 * np.cos(np.pi * (np.arange(round(FADE_S * RATE_HZ)) + 0.5) / (FADE_S * RATE_HZ))
 
 SILENT = 10.0**-7.5  # -150 dBFS
 RMS_S = 0.3  # time constant of the core's mean square
@@ -23,87 +24,67 @@ RMS_S = 0.3  # time constant of the core's mean square
 class TrialSound:
     """A trial that the audio thread plays; another thread sets `stops`, which begins a fade.
 
-    frames: (frames, COLUMNS) at RATE_HZ. lead_s: how much later the vibration begins than the
-    sound. began_s: when the stream plays its first frame. played: number of frames until now.
+    path: .npy file of float32 frames, (frames, COLUMNS) at RATE_HZ. lead_s: how much later the
+    vibration begins than the sound. began_s: when the stream plays its first frame. played: number
+    of frames until now. ends_s: when the last one has been played. UsageError: the file is not
+    one, or of another form.
     """
 
-    def __init__(self, frames: Float32Array, lead_s: float) -> None:
-        shift, faded = round(lead_s * RATE_HZ), frames * _fades(len(frames))[:, None]
-        self._frames = np.zeros((len(frames) + abs(shift), CHANNELS), np.float32)
-        for columns, begin in ((slice(0, 2), max(0, -shift)), (slice(2, 3), max(0, shift))):
-            self._frames[begin : begin + len(frames), columns] = faded[:, columns]
-        self.began_s: float | None = None
-        self._ends_s = math.inf
-        self.played, self.stops, self._fades_out = 0, False, False
-
-    @staticmethod
-    def read(path: Path) -> Float32Array:
-        """Return the frames of a .npy file. UsageError: it is not one, or of another form."""
+    def __init__(self, path: Path, lead_s: float) -> None:
         try:
             frames = np.load(path, allow_pickle=False)
         except (OSError, ValueError, EOFError) as error:
             raise UsageError(f"{path.name} is not a trial that can be played ({error})") from None
-        shape, most = np.shape(frames), round(LONGEST_S * RATE_HZ)
-        is_right = frames.dtype == np.float32 and len(shape) == 2 and shape[1] == COLUMNS
-        if not is_right or not 1 <= shape[0] <= most or not np.all(np.abs(frames) <= 1.0):
+        form, most = (frames.dtype, np.shape(frames)[1:]), round(LONGEST_S * RATE_HZ)
+        is_right = form == (np.float32, (COLUMNS,)) and 1 <= len(frames) <= most
+        if not is_right or not np.all(np.abs(frames) <= 1.0):
             raise UsageError(
                 f"{path.name} is not a trial: float32 within ±1, 1 to {most} frames of {COLUMNS} "
                 "columns"
             )
-        return np.asarray(frames)
+        fade = FADE[:: max(1, -(-len(FADE) * 2 // len(frames)))][: len(frames) // 2, None]
+        frames[: len(fade)] *= fade
+        frames[len(frames) - len(fade) :] *= fade[::-1]
+        shift = round(lead_s * RATE_HZ)
+        self._frames = np.zeros((len(frames) + abs(shift), CHANNELS), np.float32)
+        for columns, begin in ((slice(0, 2), max(0, -shift)), (slice(2, 3), max(0, shift))):
+            self._frames[begin : begin + len(frames), columns] = frames[:, columns]
+        self.began_s, self.ends_s = math.inf, math.inf
+        self.played, self.stops, self._fades_out = 0, False, False
 
     def fill(self, out: Float32Array, plays_s: float) -> None:
         """Write the next frames. plays_s: when the first of them is played. Audio thread only."""
-        if self.began_s is None:
-            self.began_s = plays_s
+        self.began_s = min(self.began_s, plays_s)
         if self.stops and not self._fades_out:
-            self._fades_out, fade = True, round(FADE_S * RATE_HZ)
-            rest = self._frames[self.played : self.played + fade]
-            window = _fades(2 * fade)[fade:]
-            self._frames = np.concatenate(
-                [self._frames[: self.played], rest * window[: len(rest), None]]
-            )
+            self._fades_out = True
+            self._frames = self._frames[: self.played + len(FADE)]
+            rest = self._frames[self.played :]
+            rest *= FADE[::-1][: len(rest), None]
         part = self._frames[self.played : self.played + len(out)]
         out[: len(part)] = part
         self.played += len(part)
         if len(part) < len(out):
-            self._ends_s = min(self._ends_s, plays_s + len(part) / RATE_HZ)
-
-    def is_over(self, now_s: float) -> bool:
-        """Whether the last frame has been played at this time."""
-        return now_s > self._ends_s
-
-
-def _fades(frames: int) -> Float32Array:
-    """Return a window with raised-cosine ends of FADE_S, or of half of the length if shorter."""
-    length = min(round(FADE_S * RATE_HZ), frames // 2)
-    window = np.ones(frames, np.float32)
-    window[:length] = 0.5 - 0.5 * np.cos(np.pi * (np.arange(length) + 0.5) / max(1, length))
-    window[frames - length :] = window[:length][::-1]
-    return window
+            self.ends_s = min(self.ends_s, plays_s + len(part) / RATE_HZ)
 
 
 class TrialMeter:
     """Levels of the actuators' signals, protection and dose of one trial, from its beginning on."""
 
     def __init__(self, chain: Chain) -> None:
-        self._chain, self._page = chain, chain.page
-        self._frames, self._before = self._page.frames, self._levels()
+        self._chain, self._rigs = chain, [rig for rig in chain.design.rigs if rig]
+        self._frames, self._before = chain.page.frames, self._mean_squares()
         self._energy_s = np.zeros(len(self._before))
         self._gain, self._doses = 1.0, self._dose_sums()
 
     def look(self) -> None:
         """Read the levels; call it often while the trial plays."""
-        frames, now = self._page.frames, self._levels()
+        frames, now = self._chain.page.frames, self._mean_squares()
         seconds = (frames - self._frames) / self._chain.plan.samplerate
-        if seconds <= 0.0:
-            return
-        kept = math.exp(-seconds / RMS_S)
-        self._energy_s += seconds * (now - kept * self._before) / (1.0 - kept)
-        self._gain = min(
-            [self._gain, *(rig.protection().gain for rig in self._chain.design.rigs if rig)]
-        )
-        self._frames, self._before = frames, now
+        if seconds > 0.0:
+            kept = math.exp(-seconds / RMS_S)
+            self._energy_s += seconds * (now - kept * self._before) / (1.0 - kept)
+            self._gain = min([self._gain, *(rig.protection().gain for rig in self._rigs)])
+            self._frames, self._before = frames, now
 
     def result(self, seconds: float) -> dict[str, Any]:
         """Return the r.m.s. level in dBFS, protection's attenuation, and exposure.
@@ -111,8 +92,8 @@ class TrialMeter:
         seconds: duration of the trial.
         """
         self.look()
-        energy_s = float(np.max(self._energy_s, initial=0.0))
-        rms = math.sqrt(max(0.0, energy_s) / max(seconds, 1.0 / RATE_HZ))
+        energy_s = max(0.0, float(np.max(self._energy_s, initial=0.0)))
+        rms = math.sqrt(energy_s / max(seconds, 1.0 / RATE_HZ))
         both = zip(self._dose_sums(), self._doses, strict=True)
         doses = [now.plus(then, -1.0) for now, then in both]
         exposure = Exposure.of(doses) if doses else None
@@ -124,9 +105,9 @@ class TrialMeter:
             "vdv_m_s175": exposure and exposure.vdv,
         }
 
-    def _levels(self) -> Any:
-        found = self._page.readings.actuators[: len(self._chain.plan.actuators)]
+    def _mean_squares(self) -> FloatArray:
+        found = self._chain.page.readings.actuators[: len(self._chain.plan.actuators)]
         return np.array([one.level.mean_square for one in found])
 
     def _dose_sums(self) -> list[DoseSums]:
-        return [one.dose for rig in self._chain.design.rigs if rig for one in rig.safety_states()]
+        return [one.dose for rig in self._rigs for one in rig.safety_states()]

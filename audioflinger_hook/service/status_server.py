@@ -5,7 +5,6 @@ A request is one line of JSON:
 - `{"ask": "status"}` is answered by one line with the status.
 - `{"ask": "watch", "protocol": 1, "rate_hz": 30}` is answered by an unlimited sequence of lines.
 - `{"ask": "control", "protocol": 1, ...}` is answered by one line; see `daemon/live_control.py`.
-- `{"ask": "trials", "protocol": 1}` begins a session of trials; see `daemon/trial_session.py`.
 """
 
 import contextlib
@@ -45,7 +44,7 @@ LIFETIME_S = 10.0  # longest connection of a client that does not watch
 PAUSE_S = 0.01  # pause after each answer, which limits the CPU load by clients
 STOP_S = 2.0  # timeout of `stop`, in case a thread hangs in `read`
 _ADVICE = 'send {"ask": "status"} and a line break'
-_KNOWN = 'allowed: {"ask": "status"}, or watch, control or trials with "protocol": 1'
+_KNOWN = 'allowed: {"ask": "status"}, or watch or control with "protocol": 1'
 _PEER = struct.Struct("3i")
 
 
@@ -72,43 +71,6 @@ class Live(Protocol):
     def control(self, request: dict[str, Any]) -> dict[str, Any]:
         """Carry out a request and return the answer. Raises nothing."""
         ...
-
-    def play_trials(self, talk: "Talk") -> None:
-        """Play the trials of a client until it leaves. OSError: it has left."""
-        ...
-
-
-class Talk:
-    """A conversation in lines of JSON with a client that may stay. OSError: the client has left.
-
-    received: bytes that have arrived already. is_over: whether the server stops.
-    """
-
-    def __init__(self, client: socket.socket, received: bytes, is_over: Callable[[], bool]) -> None:
-        self._client, self._waiting, self._is_over = client, received, is_over
-        client.settimeout(REQUEST_TIME_S)
-
-    def say(self, document: dict[str, Any]) -> None:
-        """Send one line."""
-        self._client.sendall(_line(document))
-
-    def heard(self, timeout_s: float) -> dict[str, Any] | None:
-        """Return the next line's document; None if none comes in time, {} if it is none."""
-        if b"\n" not in self._waiting and select.select([self._client], [], [], timeout_s)[0]:
-            received = self._client.recv(REQUEST_BYTES_MAX)
-            self._waiting += received
-            if not received or len(self._waiting) > REQUEST_BYTES_MAX:
-                raise ConnectionAbortedError
-        if self._is_over():
-            raise ConnectionAbortedError
-        line, line_break, rest = self._waiting.partition(b"\n")
-        if not line_break:
-            return None
-        self._waiting = rest
-        with contextlib.suppress(ValueError, RecursionError):
-            found = json.loads(line)
-            return found if isinstance(found, dict) else {}
-        return {}
 
 
 def peer_uid(connected: socket.socket) -> int:
@@ -209,12 +171,6 @@ class StatusServer:
                 live = self._live if isinstance(asked, dict) else None
                 if live and asked.get("ask") == "watch":
                     self._let_watch(client, live, asked)
-                    return
-                if live and asked.get("ask") == "trials":
-                    if refusal := _other_protocol(asked):
-                        client.sendall(refusal)
-                    else:
-                        live.play_trials(Talk(client, requests, self._stopping.is_set))
                     return
                 if live and asked.get("ask") == "control":
                     answer = _other_protocol(asked) or _line(live.control(asked))

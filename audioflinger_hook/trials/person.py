@@ -60,7 +60,7 @@ class Person:
         """
         while True:
             self.answers.wait()
-            felt = self._player.exposure()
+            felt = self._player.status().exposure
             if felt and (
                 felt.a8_m_s2 >= EXPOSURE_SHARE * ACTION_A8_M_S2
                 or felt.vdv >= EXPOSURE_SHARE * ACTION_VDV

@@ -1,9 +1,7 @@
 """Plays trials: the daemon plays sound and vibration, so that one audio clock has both."""
 
-import json
 import os
 import shlex
-import socket
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager, suppress
@@ -18,16 +16,16 @@ from audioflinger_hook.config.file import names_a_device
 from audioflinger_hook.daemon.trial_sound import COLUMNS, RATE_HZ
 from audioflinger_hook.service.install import own_command
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
-from audioflinger_hook.service.status import ExposureFigures, Status
-from audioflinger_hook.service.status_client import NO_DAEMON, ask_status
-from audioflinger_hook.service.status_server import NAME, PROTOCOL
+from audioflinger_hook.service.status import Status
+from audioflinger_hook.service.status_client import ask_control, ask_status
 from audioflinger_hook.sources.file import FileTap
 from device.address import parse_device
-from device.errors import InternalError, LostError, NotFoundError, UsageError, WriteError
+from device.errors import CushionError, LostError, NotFoundError, UsageError, WriteError
 from device.process import started
 from device.units import Float32Array
 
-ANSWER_S = 5.0  # longest wait for the daemon, in addition to the trial
+ANSWER_S = 5.0  # longest wait for an answer of the daemon
+POLL_S, RENEW_S = 0.03, 0.2  # between two questions while a trial plays, and between trials
 ASK_S = 0.1  # between two questions whether the daemon is ready
 BEGINS_S = 20.0  # longest time until a daemon plays trials
 FADED_S = 0.3  # from the end of a trial to the end of its daemon, for the fade
@@ -67,37 +65,20 @@ class DaemonPlayer:
     """Plays one trial at a time through the user's daemon. Until `close`, no other sound is felt.
 
     clock: returns seconds. why_not: why the daemon could not play a trial when it was last asked,
-    or "". NotFoundError: no daemon runs. UsageError: another program plays trials.
+    or "". Errors of all methods: NotFoundError: no daemon runs. UsageError: another program plays
+    trials. InternalError: the daemon does not answer. LostError: `close` was called.
     """
 
     def __init__(self, clock: Callable[[], float], environ: Mapping[str, str] = os.environ) -> None:
-        self._clock, self._environ = clock, environ
-        self._lines = b""
-        self._plays = False
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        try:
-            self._folder = RuntimeFolder(environ, create=False)
-            self._socket.connect(self._folder.address(NAME))
-        except (NotFoundError, FileNotFoundError, ConnectionRefusedError) as error:
-            self._socket.close()
-            raise NotFoundError(NO_DAEMON) from error
-        self._file = self._folder.path / f"trial-{os.getpid()}.npy"
-        try:
-            self._say({"ask": "trials", "protocol": PROTOCOL})
-            self._heard(ANSWER_S)
-            self._ready()
-        except BaseException:
-            self.close()
-            raise
+        self._clock, self._environ, self.why_not = clock, environ, ""
+        self._who, self._closing = f"{os.getpid()}-{id(self):x}", threading.Event()
+        self._ask()
+        self._renewing = threading.Thread(target=self._renew, name="trial-lease", daemon=True)
+        self._renewing.start()
 
-    @property
     def status(self) -> Status:
-        """The daemon's status. For errors, see `ask_status`."""
+        """Return the daemon's status."""
         return ask_status(ANSWER_S, self._clock, self._environ)
-
-    def exposure(self) -> ExposureFigures | None:
-        """Return the exposure of today, None without a rig. For errors, see `ask_status`."""
-        return self.status.exposure
 
     def play(self, sound: Frames, vibration: Frames) -> Played:
         """Play both from their first frames on; return after the end.
@@ -108,81 +89,63 @@ class DaemonPlayer:
         of a study is silence at the beginning of one of them; together they take at most 120 s.
 
         NotPlayedError: the device or the server was lost, or is not ready. The trial counts as not
-        played: call `wait`, then offer it again. UsageError: a file is not usable. NotFoundError:
-        no daemon runs. LostError, InternalError: the daemon has ended or does not answer.
+        played: call `wait`, then offer it again. UsageError: a file is not usable.
         """
+        with RuntimeFolder(self._environ, create=False) as folder:
+            file = folder.path / f"trial-{self._who}.npy"
         frames = mixed(sound, vibration)
         try:
-            np.save(self._file, frames)
+            np.save(file, frames)
+            played = self._ask(play=file.name)
+            while played is None:
+                self._closing.wait(POLL_S)
+                played = self._ask()
         except OSError as error:
-            raise WriteError(f"cannot write {self._file}: {error.strerror}") from error
-        self._plays = True
-        try:
-            self._say({"play": self._file.name})
-            answer = self._heard(len(frames) / RATE_HZ + 2.0 * ANSWER_S)
+            raise WriteError(f"cannot write {file}: {error.strerror}") from error
         finally:
-            self._plays = False
-            self._file.unlink(missing_ok=True)
-        if "lost" in answer:
-            raise NotPlayedError(f"the trial was not played: {answer['lost']}")
-        began_s = answer.pop("began_s")
-        heard_s, felt_s = (None if path is None else began_s for path in (sound, vibration))
-        return Played(heard_s, felt_s, **answer)
+            file.unlink(missing_ok=True)
+        if "lost" in played:
+            raise NotPlayedError(f"the trial was not played: {played['lost']}")
+        began_s = played.pop("began_s")
+        heard_s, felt_s = (None if one is None else began_s for one in (sound, vibration))
+        return Played(heard_s, felt_s, **played)
 
     def stop(self) -> None:
         """End the trial that plays with a fade of 50 ms. Any thread; without a trial, nothing."""
-        if self._plays:
-            with suppress(LostError):
-                self._say({"stop": True})
+        with suppress(CushionError):
+            self._ask(stop=True)
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until the daemon can play a trial; return whether it can."""
-        pause = threading.Event()
         for _ in range(1 + round(timeout_s / ASK_S)):
-            if not self._ready():
+            self._ask()
+            if not self.why_not:
                 return True
-            pause.wait(ASK_S)
+            self._closing.wait(ASK_S)
         return False
 
     def close(self) -> None:
         """End the trial that plays; tapped sound is felt again. May be repeated."""
-        with suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)  # wakes `play` in another thread
-        self._socket.close()
-        self._folder.close()
+        if not self._closing.is_set():
+            self._closing.set()
+            self._renewing.join()
+            with suppress(CushionError):
+                self._ask(end=True)
 
-    def _ready(self) -> str:
-        self._say({"ready": True})
-        self.why_not = str(self._heard(ANSWER_S).get("why", ""))
-        return self.why_not
+    def _renew(self) -> None:
+        while not self._closing.wait(RENEW_S):
+            with suppress(CushionError):
+                self._ask()
 
-    def _say(self, document: dict[str, Any]) -> None:
-        try:
-            self._socket.sendall(json.dumps(document).encode() + b"\n")
-        except OSError as error:
-            raise LostError(_ENDED) from error
-
-    def _heard(self, timeout_s: float) -> dict[str, Any]:
-        """Return the daemon's next line. UsageError: the daemon refuses the request."""
-        while b"\n" not in self._lines:
-            try:
-                self._socket.settimeout(timeout_s)
-                received = self._socket.recv(65_536)
-            except TimeoutError:
-                raise InternalError("the daemon does not answer; restart it") from None
-            except OSError:  # `close` was called
-                received = b""
-            if not received:
-                raise LostError(_ENDED)
-            self._lines += received
-        line, _, self._lines = self._lines.partition(b"\n")
-        answer: dict[str, Any] = json.loads(line)
-        if "error" in answer:
-            raise UsageError(f"the daemon refuses the trial: {answer['error']}")
-        return answer
-
-
-_ENDED = "the daemon has ended; start it again with `cushion run`, and repeat the command"
+    def _ask(self, **more: Any) -> dict[str, Any] | None:
+        """Renew the lease; return what was played, None before the end of a trial."""
+        if self._closing.is_set() and "end" not in more:
+            raise LostError("the session of trials has ended")
+        asked = {"trial": {"who": self._who, **more}}
+        answer = ask_control(asked, ANSWER_S, self._clock, self._environ)
+        self.why_not = str(answer["why"])
+        played: dict[str, Any] | None = answer["played"]
+        return played
 
 
 def mixed(sound: Frames, vibration: Frames) -> Float32Array:
@@ -250,7 +213,7 @@ def opened(
             pause(ASK_S)
         else:
             raise LostError("the daemon does not begin")
-        address = player.status.device.address
+        address = player.status().device.address
         if wanted and address != wanted:
             told = f"the daemon plays to {address}, not to {wanted}"
             raise UsageError(f"{told}; stop it, or leave --device out")

@@ -15,7 +15,7 @@ from audioflinger_hook.service.meters import BufferTimes, Level
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Endpoint, LatencyBudget, Levels, Status
-from audioflinger_hook.service.status_server import NAME, StatusServer, Talk
+from audioflinger_hook.service.status_server import NAME, StatusServer
 from tests.support.commands import environment
 from tools.live_page import Monitor
 
@@ -51,11 +51,6 @@ class Settings:
     def control(self, request: dict[str, Any]) -> dict[str, Any]:
         self.requests.append(request)
         return {"done": True}
-
-    def play_trials(self, talk: Talk) -> None:
-        while True:
-            if asked := talk.heard(LIMIT_S):
-                talk.say({"asked": asked})
 
 
 @contextmanager

@@ -84,25 +84,15 @@ OTHER = f"speaks protocol {PROTOCOL}"
     [
         *(({"ask": "watch", "protocol": number}, OTHER) for number in (0, 2, "1", None)),
         *(({"ask": "control", "mute": True, "protocol": n}, OTHER) for n in (0, 2, "1", None)),
-        *(({"ask": "trials", "protocol": n}, OTHER) for n in (0, None)),
         *(({"ask": "watch", "rate_hz": hz}, OUT) for hz in (0, 0.5, 61, -1, "30", None, True, 1e9)),
         ({"ask": "control", "set": {"gain_db": "x" * 4096}}, "longer than 4096 bytes"),
     ],
-    ids=range(19),
+    ids=range(17),
 )
 def test_another_protocol_wrong_rates_and_long_requests_are_refused(live, folder, asked, words):
     with Client(folder, **asked) as client:
         assert words in client.next()["error"]
     assert live.requests == []
-
-
-def test_a_session_of_trials_takes_lines_until_the_client_leaves_or_floods_it(live, folder):
-    with Client(folder, ask="trials") as client:
-        for line, taken in ((b'{"a": 1}\n{"a"', {"a": 1}), (b": 2}\n", {"a": 2})):
-            client.socket.sendall(line)
-            assert client.next() == {"asked": taken}
-        client.socket.sendall(b"x" * 5_000)
-        assert client.lines.readline() == b""
 
 
 def test_some_threads_are_left_for_the_status(live, folder):

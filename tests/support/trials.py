@@ -17,12 +17,12 @@ class Player:
     def __init__(
         self, others: Mapping[int, Any] | None = None, exposure: ExposureFigures | None = None
     ) -> None:
-        self.others, self._exposure = others or {}, exposure
+        self.others, self.exposure = others or {}, exposure
         self.played: list[Any] = []
         self.waited = 0
 
-    def exposure(self) -> ExposureFigures | None:
-        return self._exposure
+    def status(self) -> Any:
+        return self
 
     def play(self, sound: Any, vibration: Any) -> Played:
         self.played.append((sound, vibration))
