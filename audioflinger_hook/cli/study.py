@@ -184,7 +184,7 @@ def _live(design: Design, stimuli: Stimuli, options: argparse.Namespace) -> None
     number, path = records.admit(design, code, False)
     total = len(session(design, number))
     with ExitStack() as stack:
-        player = stack.enter_context(opened(options.device, time.monotonic))
+        player = stack.enter_context(opened(options.device or "", time.monotonic))
         answers = stack.enter_context(closing(PageAnswers(player.stop, _show, time.time)))
         record = stack.enter_context(_record(design, path, code, False))
         participant = Participant(Person(player, answers), stimuli, total)

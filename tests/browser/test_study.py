@@ -1,0 +1,191 @@
+"""A whole study in a real browser: a session with a daemon on a server, and the reports."""
+
+import json
+import re
+import tempfile
+import threading
+from contextlib import closing
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from scipy.signal import sosfilt
+
+from device.drive.exposure import wk_sections
+from tests.servers.daemons import environment
+from tests.servers.listening import RATE_HZ, need, wait_for
+from tests.servers.test_trials import SECONDS, WITHIN_FRAMES, lags, link_a_clock
+from tests.support.commands import call, start
+from tests.support.studies import QUESTIONS, TRUTHS, make_study
+from tools.live_latency.bursts import recorded_together
+from tools.live_page import browser, missing_browser
+from tools.sound_server import SoundServer, missing_programs
+
+pytestmark = pytest.mark.browser
+
+TRIALS, LATE_MS, WEAK_DB = 20, 40.0, -6.0
+DESIGN = f"""title = "Three conditions"
+participants = 2
+level_db = -30
+block = 10
+practice = 2
+fastest_s = 0
+[[stimulus]]
+name = "noise"
+file = "noise.wav"
+[[condition]]
+name = "own"
+method = "noise.wav"
+[[condition]]
+name = "late"
+method = "noise.wav"
+delay_ms = {LATE_MS}
+[[condition]]
+name = "weak"
+method = "noise.wav"
+gain_db = {WEAK_DB}
+[[question]]
+name = "fits better"
+paradigm = "preference"
+conditions = ["own", "late", "weak"]
+stimuli = ["noise"]
+repeats = 6
+"""
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    need(missing_browser())
+    with browser() as found:
+        yield found
+
+
+class Session:
+    """A running `cushion study run`, and a browser on its page."""
+
+    def __init__(self, folder, env, chromium):
+        asked = ("study", "run", folder, "--participant", "P01", "--device", "sink:haptic")
+        self.process = start(*asked, env=env)
+        self.said = []
+        self._reader = threading.Thread(
+            target=lambda: self.said.extend(iter(self.process.stdout.readline, "")), daemon=True
+        )
+        self._reader.start()
+        said = lambda: re.search("http://[^ \n]+", "".join(self.said))  # noqa: E731
+        self._context = chromium.new_context(viewport={"width": 390, "height": 844})
+        self.page = self._context.new_page()
+        self.page.goto(wait_for(said, "an address", 40.0)[0])
+
+    def press(self, question, name, title=None):
+        """Click a button of the screen with this heading, and wait for the next screen."""
+        shown = self.page.locator("h1", has_text=question)
+        shown.wait_for()
+        self.page.get_by_role("button", name=name, exact=True).click()
+        shown.wait_for(state="detached")
+
+    def close(self):
+        self._context.close()
+        self.process.kill()
+        self.process.wait()
+        self._reader.join()
+        self.process.stdout.close()
+        self.process.stderr.close()
+
+
+def weighted_db(felt):
+    return 10.0 * np.log10(np.sum(sosfilt(wk_sections(RATE_HZ), felt) ** 2))
+
+
+def test_a_study_of_three_conditions_through_the_page_and_the_daemon(chromium, tmp_path):
+    need(missing_programs("pipewire"))
+    study = tmp_path / "study"
+    study.mkdir()
+    (study / "design.toml").write_text(DESIGN)
+    noise = np.random.default_rng(1).uniform(-0.2, 0.2, round(SECONDS * RATE_HZ))
+    soundfile.write(study / "noise.wav", noise, RATE_HZ, subtype="FLOAT")
+    both = ("desktop", "monitor_FL"), ("haptic", "monitor_FL")
+    with (
+        tempfile.TemporaryDirectory(prefix="cushion-") as folder,
+        SoundServer("pipewire", Path(folder)) as server,
+        closing(Session(study, environment(server), chromium)) as session,
+        recorded_together(*both, tmp_path, server.environment, RATE_HZ) as path,
+    ):
+        link_a_clock(server)
+        session.press("Consent", "I agree 1")
+        for number in range(TRIALS):
+            if number == 12:  # the block is over: 10 trials after 2 for practice
+                session.press("Pause", "Go on 1")
+            name = "First 1" if number % 2 else "Second 2"
+            session.press("Which vibration fits the sound better?", name)
+        session.page.locator("h1", has_text="The end").wait_for()
+        assert session.process.wait(20.0) == 0
+    rows = [json.loads(line) for line in (study / "data/0000-P01.jsonl").read_text().splitlines()]
+    assert [row["trial"] for row in rows[1:]] == list(range(1, TRIALS + 1))
+    assert [row["answer"] for row in rows[1:]] == ["2", "1"] * (TRIALS // 2)
+    played = [row[f"condition_{i}"] for row in rows[1:] for i in (1, 2)]
+    late = np.array([LATE_MS * (name == "late") for name in played]) * RATE_HZ / 1e3
+    found = np.array(lags(path))
+    print(found - late)
+    assert len(found) == 2 * TRIALS
+    assert np.abs(found - late).max() <= WITHIN_FRAMES
+    heard, felt = soundfile.read(path)[0].T
+    loud = np.flatnonzero(np.abs(heard) > 1e-4)
+    begins = loud[np.diff(loud, prepend=-RATE_HZ) > RATE_HZ // 10]
+    levels = np.array([weighted_db(felt[b : b + round(1.3 * SECONDS * RATE_HZ)]) for b in begins])
+    levels -= [WEAK_DB * (name == "weak") for name in played]
+    print(np.ptp(levels))
+    assert np.ptp(levels) <= 0.5
+    assert call("study", "report", study).code == 0
+    shown, complaints = opened_report(chromium, study / "report.html", 390)
+    assert complaints == []
+    assert "1 of 2 participants began" in shown.inner_text("main")
+    assert "SIMULATED" not in shown.inner_text("main")
+    shown.context.close()
+
+
+def opened_report(chromium, path, width, theme="light"):
+    """Return the page of a report, and what axe, the console and the width complain of."""
+    spec = find_spec("axe_playwright_python")
+    if spec is None or not spec.submodule_search_locations:
+        pytest.skip("axe-playwright-python is not installed")
+    size = {"width": width, "height": 800}
+    page = chromium.new_context(viewport=size, color_scheme=theme).new_page()
+    complaints: list[str] = []
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("console", lambda said: complaints.append(said.text))
+    page.goto(f"file://{path}")
+    page.evaluate(Path(spec.submodule_search_locations[0], "axe.min.js").read_text())
+    complaints += [one["id"] for one in page.evaluate("axe.run()")["violations"]]
+    if page.evaluate("document.documentElement.scrollWidth") > width:
+        complaints.append("wider than the window")
+    return page, complaints
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("simulated")
+    more = "fastest_s = 0\nreference_share = 1"
+    make_study(folder, *QUESTIONS, participants=3, more=more)
+    (folder / "people.json").write_text(json.dumps({"people": 3, "questions": TRUTHS}))
+    assert call("study", "run", folder, "--simulate", folder / "people.json").code == 0
+    assert call("study", "report", folder).code == 0
+    return folder / "report.html"
+
+
+@pytest.mark.parametrize("width", [1366, 390])
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_each_question_has_a_figure_and_a_table_and_what_is_simulated_says_so(
+    chromium, simulated, width, theme
+):
+    page, complaints = opened_report(chromium, simulated, width, theme)
+    assert complaints == []
+    sections = page.locator("section")
+    assert sections.count() == len(QUESTIONS)
+    for number in range(len(QUESTIONS)):
+        figures = sections.nth(number).locator("figure")
+        assert figures.count() >= 1
+        assert all("SIMULATED" in text for text in figures.all_text_contents())
+        assert sections.nth(number).locator("table").count() >= 1
+    page.context.close()
