@@ -25,34 +25,25 @@ from tools.sound_server import SoundServer, missing_programs
 
 pytestmark = pytest.mark.browser
 
+CONTROLLER = """(index) => {
+  window.pressed = index;
+  const buttons = () => Array.from({ length: 17 }, (_, i) => ({ pressed: i === window.pressed }));
+  navigator.getGamepads = () => [null, { buttons: buttons() }];
+  dispatchEvent(new Event("gamepadconnected"));
+}"""
 TRIALS, LATE_MS, WEAK_DB = 20, 40.0, -6.0
-DESIGN = f"""title = "Three conditions"
-participants = 2
-level_db = -30
-block = 10
-practice = 2
-fastest_s = 0
-[[stimulus]]
-name = "noise"
-file = "noise.wav"
-[[condition]]
-name = "own"
-method = "noise.wav"
-[[condition]]
-name = "late"
-method = "noise.wav"
-delay_ms = {LATE_MS}
-[[condition]]
-name = "weak"
-method = "noise.wav"
-gain_db = {WEAK_DB}
-[[question]]
-name = "fits better"
-paradigm = "preference"
-conditions = ["own", "late", "weak"]
-stimuli = ["noise"]
-repeats = 6
-"""
+ASKED = "Which vibration fits the sound better?"
+CONDITIONS = {"own": "", "late": f"delay_ms = {LATE_MS}", "weak": f"gain_db = {WEAK_DB}"}
+DESIGN = (
+    'title = "Three"\nparticipants = 2\nlevel_db = -30\nblock = 10\nfastest_s = 0\n'
+    '[[stimulus]]\nname = "noise"\nfile = "noise.wav"\n'
+    + "".join(
+        f'[[condition]]\nname = "{name}"\nmethod = "noise.wav"\n{more}\n'
+        for name, more in CONDITIONS.items()
+    )
+    + '[[question]]\nname = "fits"\nparadigm = "preference"\nstimuli = ["noise"]\n'
+    f"conditions = {[*CONDITIONS]}\nrepeats = 6\n"
+)
 
 
 @pytest.fixture(scope="module")
@@ -78,12 +69,20 @@ class Session:
         self.page = self._context.new_page()
         self.page.goto(wait_for(said, "an address", 40.0)[0])
 
-    def press(self, question, name, title=None):
+    def press(self, question, name):
         """Click a button of the screen with this heading, and wait for the next screen."""
         shown = self.page.locator("h1", has_text=question)
         shown.wait_for()
         self.page.get_by_role("button", name=name, exact=True).click()
         shown.wait_for(state="detached")
+
+    def press_on_a_controller(self, question, index):
+        """Press a button of a controller, and hold it until the next screen."""
+        shown = self.page.locator("h1", has_text=question)
+        shown.wait_for()
+        self.page.evaluate(CONTROLLER, index)
+        shown.wait_for(state="detached")
+        self.page.evaluate("pressed = -1")
 
     def close(self):
         self._context.close()
@@ -117,8 +116,10 @@ def test_a_study_of_three_conditions_through_the_page_and_the_daemon(chromium, t
         for number in range(TRIALS):
             if number == 12:  # the block is over: 10 trials after 2 for practice
                 session.press("Pause", "Go on 1")
-            name = "First 1" if number % 2 else "Second 2"
-            session.press("Which vibration fits the sound better?", name)
+            if number == 4:
+                session.press_on_a_controller(ASKED, 1)
+            else:
+                session.press(ASKED, "First 1" if number % 2 else "Second 2")
         session.page.locator("h1", has_text="The end").wait_for()
         assert session.process.wait(20.0) == 0
     rows = [json.loads(line) for line in (study / "data/0000-P01.jsonl").read_text().splitlines()]
