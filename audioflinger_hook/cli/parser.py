@@ -249,6 +249,8 @@ def _study(command: Parser) -> None:
     chosen = command.add_value("--design", str, "NAME", designs, "cinema")
     chosen.choices = ("cinema", "delay", "identify")
     command.add_value("--participant", str, "CODE", "of `run`: an anonymous code, such as P01")
+    device = f"of `run`: {SEE_DEVICES}; default: the daemon's"
+    command.add_value("--device", str, "DEVICE", device)
     people = "of `run`: people with known true parameters, in place of a person"
     command.add_value("--simulate", Path, "PEOPLE.json", people)
     command.add_switch("--no-power", "of `check`: do not simulate studies")

@@ -2,13 +2,11 @@
 
 import argparse
 import json
-import math
 import time
-from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
 from datetime import UTC, datetime
 from hashlib import sha256
-from importlib.resources import files
+from os.path import relpath
 from pathlib import Path
 from typing import Any
 
@@ -21,21 +19,18 @@ from audioflinger_hook.scenes.chord import chord
 from audioflinger_hook.scenes.engine import engine
 from audioflinger_hook.scenes.impacts import explosion
 from audioflinger_hook.scenes.speech import speech
-from audioflinger_hook.study import records
-from audioflinger_hook.study.design import DESIGN, Design
-from audioflinger_hook.study.design_check import check, load
-from audioflinger_hook.study.people import People, load_people
-from audioflinger_hook.study.power import power
-from audioflinger_hook.study.session import Simulated, StudyPerson
-from audioflinger_hook.study.session import run as run_session
+from audioflinger_hook.study import records, report
+from audioflinger_hook.study.design import BUILT_IN, DESIGN, Design, check, load
+from audioflinger_hook.study.people import People, Simulated, load_people, power
+from audioflinger_hook.study.session import Participant
 from audioflinger_hook.study.stimuli import Stimuli
-from audioflinger_hook.study.trials import session
+from audioflinger_hook.study.trials import Script, session
 from audioflinger_hook.trials.page import PageAnswers
 from audioflinger_hook.trials.person import Person
-from audioflinger_hook.trials.player import DaemonPlayer
+from audioflinger_hook.trials.player import opened
 from audioflinger_hook.trials.record import TrialRecord
+from audioflinger_hook.trials.session import run as run_session
 from device.atomic_file import write_bytes_atomically
-from device.drive.exposure import ACTION_A8_M_S2
 from device.errors import UsageError
 from device.wav_output import WavOutput
 
@@ -56,23 +51,21 @@ def _now() -> str:
 
 
 def _new(options: argparse.Namespace) -> int:
-    folder, built_in = options.folder, files("audioflinger_hook.study") / "built_in"
+    folder = options.folder
     try:
-        folder.mkdir(parents=True)
-        (folder / "sounds").mkdir()
+        (folder / "sounds").mkdir(parents=True)
     except OSError as error:
         raise UsageError(f"cannot make {folder}: {error.strerror}; name a new folder") from error
     for name, voice in SOUNDS.items():
         frames = voice(RATE, np.random.default_rng(1), PEAK)
-        output = WavOutput(folder / "sounds" / f"{name}.wav", RATE, frames.shape[1])
-        output.write(frames)
-        output.close()
-    readme = (built_in / "README.md").read_text().replace("NAME", folder.name)
-    for name, text in (
-        (DESIGN, (built_in / f"{options.design}.toml").read_text()),
-        ("README.md", readme),
-        (PEOPLE, (built_in / f"{options.design}.people.json").read_text()),
-    ):
+        with closing(WavOutput(folder / "sounds" / f"{name}.wav", RATE, frames.shape[1])) as file:
+            file.write(frames)
+    for name, source in {
+        DESIGN: f"{options.design}.toml",
+        PEOPLE: f"{options.design}.people.json",
+        "README.md": "README.md",
+    }.items():
+        text = (BUILT_IN / source).read_text().replace("NAME", folder.name)
         write_bytes_atomically(folder / name, text.encode())
     print(f"{folder} has {DESIGN} and README.md; next: cushion study check {folder}")
     return 0
@@ -80,15 +73,19 @@ def _new(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> int:
     design, mistakes = check(options.folder)
-    told = [str(mistake) for mistake in listed(mistakes)]
-    stimuli = Stimuli(design)
-    told = told or stimuli.mistakes() + _effect_mistakes(design)
+    told, stimuli = [str(mistake) for mistake in listed(mistakes)], Stimuli(design)
     if not told:
-        _register(design)
-    else:
-        for one in told:
-            complain(f"{options.folder / DESIGN}: {one}")
+        told = stimuli.mistakes()
+        for question in design.questions.values():
+            try:
+                People(design, {question.name: question.effect or {}}, 1, 2)
+            except UsageError as error:
+                told.append(f"effect of {error}")
+    for one in told:
+        complain(f"{options.folder / DESIGN}: {one}")
+    if told:
         return UsageError.exit_code
+    _register(design)
     for sound, lowered_db in stimuli.lowered_db.items():
         if lowered_db > 0.05:
             warn(f"{sound} is {lowered_db:.1f} dB under level_db, so that no peak is cut")
@@ -96,67 +93,49 @@ def _check(options: argparse.Namespace) -> int:
     for name, question in design.questions.items():
         with progress_bar(f"power of {name}") as progress:
             found[name] = None if options.no_power else power(design, question, progress)
-    minutes, trials = 60.0 * design.hours, len(session(design, 0))
-    document = {"sha256": design.digest, "trials": trials, "minutes": round(minutes, 1)}
+    trials, minutes = len(session(design, 0)), round(60.0 * design.hours, 1)
     if options.json:
-        print(json.dumps({**document, "power": found}, indent=2))
+        document = {"sha256": design.digest, "trials": trials, "minutes": minutes, "power": found}
+        print(json.dumps(document, indent=2))
         return 0
-    print(
-        f"{trials} trials, about {minutes:.0f} min for each of {design.study.participants} people"
-    )
+    study = design.study
+    print(f"{trials} trials, about {minutes:.0f} min for each of {study.participants} people")
     for name, share in found.items():
         if share is not None:
-            few = (
-                "" if share >= design.study.power else f", under the wanted {design.study.power:g}"
-            )
+            few = "" if share >= study.power else f", under the wanted {study.power:g}"
             print(f"power of {name}: {share:.2f}{few} (100 simulated studies)")
     print(f"SHA-256 of {DESIGN}: {design.digest}")
     print(f"registered in {design.folder / PREREGISTRATION}; publish this sum to preregister")
     return 0
 
 
-def _effect_mistakes(design: Design) -> list[str]:
-    found = []
-    for question in design.questions.values():
-        try:
-            People(design, {question.name: question.effect or {}}, 1, 2)
-        except UsageError as error:
-            found.append(f"effect of {error}")
-    return found
+def _register(design: Design) -> dict[str, Any]:
+    """Return the preregistration, with the design's sums, which is stored if it is new.
 
-
-def _registered(design: Design) -> dict[str, Any] | None:
+    UsageError: people took part in another design, or the stored file is damaged.
+    """
     path = design.folder / PREREGISTRATION
-    if not path.exists():
-        return None
+    files = {relpath(file, design.folder): file for file in design.files}
+    sums = {name: sha256(file.read_bytes()).hexdigest() for name, file in files.items()}
+    now = {"design_sha256": design.digest, "files": sums}
     try:
-        found = json.loads(path.read_text())
-        return {"registered": str(found["registered"]), **found, "files": dict(found["files"])}
-    except (ValueError, KeyError, TypeError, OSError):
+        before = json.loads(path.read_text()) if path.exists() else {"files": {}}
+        known = {DESIGN: before.get("design_sha256"), **before["files"]}
+    except (ValueError, KeyError, TypeError, AttributeError, OSError):
         raise UsageError(f"{path} is damaged; restore it, or delete it to register again") from None
-
-
-def _register(design: Design) -> None:
-    """Store the design's sums. UsageError: people took part in another design."""
-    sums = {
-        str(path.relative_to(design.folder) if path.is_relative_to(design.folder) else path): (
-            sha256(path.read_bytes()).hexdigest()
-        )
-        for path in design.files
-    }
-    now = {"design_sha256": design.digest, "files": sums, "version": __version__}
-    before = _registered(design)
-    if before and all(before[key] == now[key] for key in ("design_sha256", "files")):
-        return
-    if before and records.record_files(design):
-        wrong = [name for name, digest in sums.items() if before["files"].get(name) != digest]
-        what = wrong[0] if before["design_sha256"] == design.digest and wrong else DESIGN
+    wrong = [
+        name for name, one in ({DESIGN: design.digest} | sums).items() if known.get(name) != one
+    ]
+    if not wrong:
+        return before
+    if path.exists() and records.begun(design):
         raise UsageError(
-            f"{what} has changed since the first participant; restore it, or copy the folder "
+            f"{wrong[0]} has changed since the first participant; restore it, or copy the folder "
             "without data and preregistration.json: a changed design is another study"
         )
-    document = json.dumps({**now, "registered": _now()}, indent=2)
-    write_bytes_atomically(design.folder / PREREGISTRATION, f"{document}\n".encode())
+    document = {**now, "version": __version__, "registered": _now()}
+    write_bytes_atomically(path, f"{json.dumps(document, indent=2)}\n".encode())
+    return document
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -169,7 +148,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.simulate:
         _simulate(design, stimuli, options.simulate)
     else:
-        _live(design, stimuli, options.participant)
+        _live(design, stimuli, options)
     records.write_table(design, records.participants(design))
     return 0
 
@@ -188,7 +167,7 @@ def _simulate(design: Design, stimuli: Stimuli, file: Path) -> None:
                 number, path = records.admit(design, code, True)
                 with _record(design, path, code, True) as record:
                     who = Simulated(people, number, stimuli, record.trials)
-                    for _ in run_session(design, number, record, who):
+                    for _ in run_session(record, Script(design, number), who.answer):
                         pass
     print(f"{people.count} simulated people took part; next: cushion study report {design.folder}")
 
@@ -198,25 +177,24 @@ def _record(design: Design, path: Path, code: str, simulated: bool) -> TrialReco
     return TrialRecord(path, design.digest, header=header)
 
 
-def _live(design: Design, stimuli: Stimuli, code: str | None) -> None:
+def _live(design: Design, stimuli: Stimuli, options: argparse.Namespace) -> None:
     """Let a person answer on the page, while the daemon plays."""
-    if code is None:
+    if (code := options.participant) is None:
         raise UsageError("--participant CODE is missing; give an anonymous code, such as P01")
     number, path = records.admit(design, code, False)
     total = len(session(design, number))
-    with ExitStack() as opened:
-        player = opened.enter_context(closing(DaemonPlayer(time.monotonic)))
-        answers = opened.enter_context(closing(PageAnswers(player.stop, _show, time.time)))
-        record = opened.enter_context(_record(design, path, code, False))
-        person, before = StudyPerson(Person(player, answers), stimuli, total), len(record.trials)
-        if not record.trials and not person.agrees(design.study.consent):
+    with ExitStack() as stack:
+        player = stack.enter_context(opened(options.device or "", time.monotonic))
+        answers = stack.enter_context(closing(PageAnswers(player.stop, _show, time.time)))
+        record = stack.enter_context(_record(design, path, code, False))
+        participant = Participant(Person(player, answers), stimuli, total)
+        if not record.trials and not participant.agrees(design.study.consent):
             raise UsageError(f"participant {code} did not agree; no trial was played")
+        script = Script(design, number)
         try:
-            for _ in run_session(design, number, record, person):
-                if _a8_m_s2(record.trials[before:]) > 0.5 * ACTION_A8_M_S2:
-                    much = f"participant {code} has felt half of a day's exposure (action value)"
-                    raise UsageError(f"{much}; go on another day, or with a lower level_db")
-            person.thank()
+            for _ in run_session(record, script, participant.answer, participant.pause):
+                pass
+            participant.thank()
         finally:
             if len(record.trials) < total:
                 told = f"{len(record.trials)} of {total} trials are recorded; go on with"
@@ -224,30 +202,19 @@ def _live(design: Design, stimuli: Stimuli, code: str | None) -> None:
     print(f"participant {code} has finished")
 
 
-def _a8_m_s2(rows: Sequence[Mapping[str, Any]]) -> float:
-    """Return the exposure A(8) by all trials; intervals without a rig count as 0."""
-    return math.hypot(*(row.get(f"a8_m_s2_{i}") or 0.0 for row in rows for i in (1, 2)))
-
-
 def _show(address: str) -> None:
     print(f"the participant answers at {address}", flush=True)
 
 
 def _report(options: argparse.Namespace) -> int:
-    from audioflinger_hook.study import report
-
     design = load(options.folder)
-    _register(design)
-    people = records.participants(design)
-    simulated = bool(people) and bool(people[0].header["simulated"])
-    truths = load_people(design.folder / SIMULATED, design) if simulated else None
-    found = report.results(design, people, truths)
+    registered, people = _register(design), records.participants(design)
     records.write_table(design, people)
+    document = report.as_document(design, registered, people)
     if options.json:
-        print(json.dumps(report.as_document(found), indent=2))
+        print(json.dumps(document, indent=2))
         return 0
-    text = report.page(design, _registered(design), people, found)
     path = options.out or design.folder / REPORT
-    write_bytes_atomically(path, text.encode())
+    write_bytes_atomically(path, report.page(document).encode())
     print(f"{path} written")
     return 0

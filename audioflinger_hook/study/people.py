@@ -1,166 +1,178 @@
-"""Simulated people, whose true parameters are known: `cushion study run --simulate PEOPLE.json`."""
+"""Simulated people, whose true parameters are known, and the power of a design with them."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from audioflinger_hook.study.curves import probability
-from audioflinger_hook.study.design import Design, Question
-from audioflinger_hook.study.trials import FIRST, SECOND, Trial, counted
+from audioflinger_hook.study.design import GAP_S, Design, Question
+from audioflinger_hook.study.estimates import Measured, p_values
+from audioflinger_hook.study.paradigms import chances, measure
+from audioflinger_hook.study.stimuli import Stimuli
+from audioflinger_hook.study.trials import Script
+from audioflinger_hook.trials.player import Played
+from audioflinger_hook.trials.record import Rows
+from audioflinger_hook.trials.session import run
 from audioflinger_hook.trials.simulated import drawn, people_file, with_lapses
 from device.errors import UsageError
 from device.units import FloatArray
-from device.values import nearest
+from device.values import Described, Number, nearest
 
-PARAMETERS: dict[str, dict[str, float]] = {
-    "preference": {"worth": 0.0},
-    "rating": {"rating": 50.0, "noise": 8.0},
-    "synchrony": {"pss_ms": 0.0, "jnd_ms": 60.0},
-    "threshold": {"threshold_db": -20.0, "jnd_db": 2.0},
-    "equal": {"equal_db": 0.0, "jnd_db": 1.5},
-    "identification": {"accuracy": 0.5},
-}
-"""The parameters of each paradigm, with their defaults. NAME_spread is the standard deviation
-between people, by default 0, and lapse the share of random answers.
-"""
-LOWEST = {"jnd_ms": 5.0, "jnd_db": 0.2, "noise": 0.0, "accuracy": 0.0}
+STUDIES, LEVEL = 100, 0.05
+
+
+@dataclass(frozen=True)
+class _File(Described):
+    people: Annotated[int, Number("people", 1, 10_000, whole=True)]
+    seed: Annotated[int, Number("seed", 0, 2**31, whole=True)] = 1
 
 
 class People:
     """Draws people and their answers. The same seed, person and trial give the same answer.
 
-    design: the study's. truths: the parameters of each question, by its name; other questions have
-    the defaults. UsageError: a name or value is not allowed.
+    truths: the parameters of each question, by its name; other questions have the defaults of
+    `paradigms.toml`. NAME_spread is the standard deviation between people, by default 0, and lapse
+    the share of random answers. UsageError: a name or value is not allowed.
     """
 
     def __init__(self, design: Design, truths: Mapping[str, Any], seed: int, count: int) -> None:
-        self.count, self.design, self._seed = count, design, seed
-        self._truths: dict[str, dict[str, FloatArray]] = {}
-        known = list(design.questions)
-        for name in truths:
-            if name not in known:
-                raise UsageError(f"{name!r} is no question; {_allowed(name, known)}")
-        for name, question in design.questions.items():
-            self._truths[name] = _parameters(question, truths.get(name, {}))
+        self.count, self.design, self.seed = count, design, seed
+        _known("question", truths, design.questions)
+        self.truths = {n: _parameters(q, truths.get(n, {})) for n, q in design.questions.items()}
 
-    def person(self, name: str, person: int) -> dict[str, FloatArray]:
+    def person(self, name: str, number: int) -> dict[str, FloatArray]:
         """Return a person's parameters in a question, one value for each condition."""
         index = list(self.design.questions).index(name)
-        return self._drawn(name, np.random.default_rng((self._seed, index, person)))
+        return self.drawn(name, np.random.default_rng((self.seed, index, number)))
 
-    def many(self, name: str, count: int = 4_000) -> list[dict[str, FloatArray]]:
-        """Return the parameters of so many people. If all are equal, return those of one."""
-        truth = self._truths[name]
-        spread = any(truth[key].any() for key in truth if key.endswith("_spread"))
-        rng = np.random.default_rng((self._seed, 1))
-        return [self._drawn(name, rng) for _ in range(count if spread else 1)]
-
-    def answer(self, trial: Trial, person: int) -> tuple[str | float, float]:
-        """Return a person's answer to a trial, and after how many seconds it comes."""
-        question = self.design.questions[trial.question]
-        rng = np.random.default_rng((self._seed, person, trial.number, 7))
-        return answer(question, trial, self.person(question.name, person), rng)
-
-    def _drawn(self, name: str, rng: np.random.Generator) -> dict[str, FloatArray]:
-        truth = self._truths[name]
-        person = {"lapse": truth["lapse"]}
-        for key in truth:
-            if key != "lapse" and not key.endswith("_spread"):
-                value = truth[key] + truth[f"{key}_spread"] * rng.standard_normal(truth[key].size)
-                person[key] = np.maximum(value, LOWEST.get(key, -np.inf))
+    def drawn(self, name: str, rng: np.random.Generator) -> dict[str, FloatArray]:
+        """Return the parameters of a random person in a question."""
+        truth, person = self.truths[name], {"lapse": self.truths[name]["lapse"]}
+        for key, (_, low, high) in self.design.questions[name].kind["parameters"].items():
+            value = truth[key] + truth[f"{key}_spread"] * rng.standard_normal(truth[key].size)
+            person[key] = np.clip(value, low, high)
         return person
+
+    def answer(self, row: Mapping[str, Any], number: int) -> dict[str, Any]:
+        """Return a person's answer to a trial, as columns."""
+        question = self.design.questions[row["question"]]
+        person = self.person(question.name, number)
+        rng = np.random.default_rng((self.seed, number, row["trial"], 7))
+        after_s, lapse = round(0.5 + float(rng.gamma(2.0, 0.6)), 3), float(person["lapse"][0])
+        if row["choices"]:
+            p = with_lapses(chances(question, row, person), lapse)
+            answer = row["choices"][drawn(p, rng)]
+        else:
+            at = question.conditions.index(row["condition_2"])
+            rated = person["rating"][at] + person["noise"][at] * rng.standard_normal()
+            is_random = rng.random() < lapse
+            answer = round(float(np.clip(100.0 * rng.random() if is_random else rated, 0, 100)))
+        return {"answer": answer, "answered_after_s": after_s, "again": 0, "pauses": 0}
 
 
 def load_people(path: Path, design: Design) -> People:
     """Return the people of a JSON file. UsageError: it cannot be read, or has a mistake."""
     document = people_file(path)
     try:
-        for key in document.keys() - {"people", "seed", "questions"}:
-            raise UsageError(f"{key!r} is an unknown key; allowed: people, seed, questions")
-        count = document.get("people", design.study.participants)
-        seed = document.get("seed", 1)
-        if not all(type(one) is int and 0 <= one < 2**31 for one in (count, seed)) or not count:
-            raise UsageError("people and seed are whole numbers, people above 0")
-        if count > design.study.participants:
+        truths = document.pop("questions", {})
+        _known("key", document, ("people", "seed", "questions"))
+        given = _File.from_values({"people": design.study.participants} | document)
+        if given.people > design.study.participants:
             most = design.study.participants
-            raise UsageError(f"people={count}, but the design ends after {most} participants")
-        truths = document.get("questions", {})
-        if not isinstance(truths, dict):
-            raise UsageError('"questions" is not a JSON object')
-        return People(design, truths, seed, count)
+            raise UsageError(f"people={given.people}, but the design ends after {most}")
+        return People(design, truths, given.seed, given.people)
     except UsageError as error:
         raise UsageError(f"{path}: {error}; see docs/study.md") from None
 
 
-def chosen_probability(
-    question: Question, trial: Trial, person: Mapping[str, FloatArray]
-) -> FloatArray:
-    """Return the probability of each choice, in the order of `trial.choices`, lapses included."""
-    names = [name for name in trial.conditions if name in question.conditions]
-    place = question.conditions.index(names[0])
-    if question.paradigm == "preference":
-        one, other = (person["worth"][question.conditions.index(name)] for name in names)
-        first = 1.0 / (1.0 + np.exp(other - one))
-        p = np.array([first if choice == FIRST else 1.0 - first for choice in trial.choices])
-    elif question.paradigm == "identification":
-        right = min(1.0, float(person["accuracy"][place]))
-        p = np.full(len(trial.choices), (1.0 - right) / (len(trial.choices) - 1))
-        p[trial.choices.index(trial.stimulus)] = right
-    else:
-        x = trial.offset_ms
-        if question.paradigm != "synchrony":
-            at = next(i for i in (0, 1) if counted(trial, question, (FIRST, SECOND)[i]))
-            place, x = question.conditions.index(trial.conditions[at]), trial.gains_db[at]
-        keys = [key for key in person if key != "lapse"]
-        value, jnd = (float(person[key][place]) for key in keys)
-        yes = float(probability(question, np.array(x), np.array(value), np.array(jnd)))
-        is_yes = [counted(trial, question, choice) for choice in trial.choices]
-        p = np.where(is_yes, yes, 1.0 - yes)
-    return with_lapses(p, float(person["lapse"][0]))
-
-
-def answer(
-    question: Question, trial: Trial, person: Mapping[str, FloatArray], rng: np.random.Generator
-) -> tuple[str | float, float]:
-    """Return a random answer of a person to a trial, and after how many seconds it comes."""
-    after_s = round(0.5 + float(rng.gamma(2.0, 0.6)), 3)
-    if question.paradigm == "rating":
-        place = question.conditions.index(trial.conditions[1])
-        rated = person["rating"][place] + person["noise"][place] * rng.standard_normal()
-        is_random = rng.random() < person["lapse"][0]
-        return round(float(np.clip(100.0 * rng.random() if is_random else rated, 0, 100))), after_s
-    p = chosen_probability(question, trial, person)
-    return trial.choices[drawn(p, rng)], after_s
+def _known(what: str, given: Any, known: Iterable[str]) -> None:
+    if not isinstance(given, dict):
+        raise UsageError(f"{given!r} is not a JSON object with names of each {what}")
+    for name in given.keys() - {*known}:
+        guess = f"; did you mean {near}?" if (near := nearest(name, known)) else ""
+        raise UsageError(f"{name!r} is an unknown {what}; allowed: {', '.join(known)}{guess}")
 
 
 def _parameters(question: Question, truth: Any) -> dict[str, FloatArray]:
     """Return each parameter of a question, with one value for each condition."""
-    defaults = PARAMETERS[question.paradigm]
-    known = {**defaults, **{f"{key}_spread": 0.0 for key in defaults}, "lapse": 0.0}
-    if not isinstance(truth, dict):
-        raise UsageError(f"{question.name} is not a table of parameters")
-    for key, given in truth.items():
-        names = known if key not in known else question.conditions
-        for name in [key] if key not in known else given if isinstance(given, dict) else []:
-            if name not in names:
-                told = _allowed(name, list(names))
-                raise UsageError(f"{question.name}: {name!r} is unknown; {told}")
-    found = {}
-    for key, default in known.items():
+    own = question.kind["parameters"]
+    spreads = {f"{key}_spread": (0.0, 0.0, 1e4) for key in own}
+    known, found = {**own, **spreads, "lapse": (0.0, 0.0, 1.0)}, {}
+    _known(f"parameter of {question.name}", truth, known)
+    for key, (default, low, high) in known.items():
         given = truth.get(key, default)
-        of = given if isinstance(given, dict) else dict.fromkeys(question.conditions, given)
-        values: list[Any] = [of.get(name, default) for name in question.conditions]
-        low, high = (0.0, 1.0) if key in ("lapse", "accuracy") else (-1e4, 1e4)
-        if not all(type(one) in (int, float) and low <= one <= high for one in values):
-            raise UsageError(
-                f"{question.name}.{key}={given} is refused; allowed: {low:g} to {high:g}"
-            )
+        if isinstance(given, dict):
+            _known(f"condition in {question.name}.{key}", given, question.conditions)
+        else:
+            given = dict.fromkeys(question.conditions, given)
+        values: list[Any] = [given.get(name, default) for name in question.conditions]
+        for value in values:
+            if refusal := Number("", low, high).refuse(value):
+                raise UsageError(f"{question.name}.{key}={value} {refusal}")
         found[key] = np.array(values, dtype=float)
     return found
 
 
-def _allowed(name: str, known: list[str]) -> str:
-    guess = nearest(str(name), known)
-    return f"allowed: {', '.join(known)}" + (f"; did you mean {guess}?" if guess else "")
+class Simulated:
+    """A simulated person, and a device without errors, whose clock only counts.
+
+    number: of the person, from 0. stimuli: makes what is played; None for none. rows: what is
+    recorded already, so that the clock goes on.
+    """
+
+    def __init__(
+        self,
+        people: People,
+        number: int,
+        stimuli: Stimuli | None = None,
+        rows: Iterable[Mapping[str, Any]] = (),
+    ) -> None:
+        self._people, self._number, self._stimuli = people, number, stimuli
+        self._now_s = 0.0
+        for row in rows:
+            last = 2 if "condition_2" in row else 1
+            ended_s = row[f"vibration_began_s_{last}"] + row[f"seconds_{last}"]
+            self._now_s = ended_s + GAP_S + row["answered_after_s"]
+
+    def answer(self, row: Mapping[str, Any]) -> dict[str, Any]:
+        """Return a random answer, and what the device would have played."""
+        columns: dict[str, Any] = {}
+        for i, one in enumerate(self._stimuli.of(row) if self._stimuli else (), 1):
+            now_s = None if one.sound is None else self._now_s
+            what = now_s, self._now_s, one.seconds, False, one.level_dbfs, 0.0, None, None
+            columns |= one.columns(i, Played(*what))
+            self._now_s += one.seconds + GAP_S
+        columns |= self._people.answer(row, self._number)
+        self._now_s += columns["answered_after_s"]
+        return columns
+
+
+def simulated_study(design: Design, name: str, people: People) -> Measured:
+    """Return what a study of one question with simulated people measures. No file is made."""
+    alone, answered = replace(design, questions={name: design.questions[name]}), []
+    for number in range(people.count):
+        rows = run(Rows(), Script(alone, number), Simulated(people, number).answer)
+        answered.append([row for row in rows if not row["practice"]])
+    return measure(design.questions[name], answered)
+
+
+def power(design: Design, question: Question, progress: Callable[[int, int], None]) -> float | None:
+    """Return the share of simulated studies that find the question's `effect`; None without one.
+
+    A study finds the effect if the test of all comparisons together gives p below 0.05. None also
+    if there is no such test. progress: called with the studies done and in total.
+    """
+    if question.effect is None:
+        return None
+    alone = replace(design, questions={question.name: question})
+    effect, count, found = {question.name: question.effect}, design.study.participants, []
+    for seed in range(STUDIES):
+        people = People(alone, effect, design.study.seed + seed, count)
+        p, _ = p_values(simulated_study(alone, question.name, people))
+        if p is None:
+            return None
+        found.append(p < LEVEL)
+        progress(seed + 1, STUDIES)
+    return float(np.mean(found))

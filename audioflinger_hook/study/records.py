@@ -5,21 +5,20 @@ import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.study.design import Design
+from audioflinger_hook.study.design import BUILT_IN, Design
 from audioflinger_hook.study.trials import session
 from audioflinger_hook.trials.record import TrialRecord
 from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError
 
-DATA, TABLE = "data", "trials.csv"
+DATA, TABLE, CODEBOOK = "data", "trials.csv", "codebook.md"
 CODE = re.compile(r"[A-Za-z0-9_]{1,32}")
-IN = re.compile(r"(\d{4})-([A-Za-z0-9_]{1,32})\.jsonl")
+IN = re.compile(rf"\d{{4}}-{CODE.pattern}\.jsonl")
 
 
 @dataclass(frozen=True)
@@ -28,17 +27,33 @@ class Participant:
 
     number: int
     code: str
+    path: Path
     header: Mapping[str, Any]
     rows: list[dict[str, Any]]
     is_complete: bool
-    excluded: str = ""
+    excluded: str
 
 
-def record_files(design: Design) -> dict[str, tuple[int, Path]]:
-    """Return number and record file of each participant by code, except files without a header."""
-    found = [(IN.fullmatch(path.name), path) for path in sorted((design.folder / DATA).glob("*"))]
-    begun = [(match, path) for match, path in found if match and b"\n" in path.read_bytes()]
-    return {match[2]: (int(match[1]), path) for match, path in begun}
+def begun(design: Design) -> list[Path]:
+    """Return the records of all participants, except files without a header."""
+    files = sorted((design.folder / DATA).glob("*"))
+    return [path for path in files if IN.fullmatch(path.name) and b"\n" in path.read_bytes()]
+
+
+def participants(design: Design) -> list[Participant]:
+    """Return all participants who have begun.
+
+    UsageError: a record is damaged, open in another process, or of another design.
+    """
+    found = []
+    for path in begun(design):
+        number, code = int(path.name[:4]), path.stem[5:]
+        with TrialRecord(path, design.digest) as record:
+            rows, header = record.trials, record.header
+        is_complete = len(rows) == len(session(design, number))
+        why = _exclusion(design, rows) if is_complete else "did not finish"
+        found.append(Participant(number, code, path, header, rows, is_complete, why))
+    return found
 
 
 def admit(design: Design, code: str, simulated: bool) -> tuple[int, Path]:
@@ -49,35 +64,23 @@ def admit(design: Design, code: str, simulated: bool) -> tuple[int, Path]:
     """
     if not CODE.fullmatch(code):
         raise UsageError(f"--participant={code!r} is no code; allowed: 1 to 32 letters and digits")
-    known, people = record_files(design), participants(design)
+    people = participants(design)
     if any(one.header.get("simulated") != simulated for one in people):
         kinds = ("real", "simulated") if simulated else ("simulated", "real")
         told = f"{design.folder / DATA} has data of {kinds[0]} people"
         raise UsageError(f"{told}; move it away before {kinds[1]} people take part")
-    finished = [one.code for one in people if one.is_complete]
-    if code in finished:
-        raise UsageError(f"participant {code} has finished already; give a new code")
-    if code in known:
-        return known[code]
-    if len(finished) >= design.study.participants:
+    for one in people:
+        if one.code == code and one.is_complete:
+            raise UsageError(f"participant {code} has finished already; give a new code")
+        if one.code == code:
+            return one.number, one.path
+    if sum(one.is_complete for one in people) >= design.study.participants:
         raise UsageError(
             f"the design ends after {design.study.participants} participants, and all have "
             f"finished; see `cushion study report {design.folder}`"
         )
-    number = max([number for number, _ in known.values()], default=-1) + 1
+    number = max([one.number for one in people], default=-1) + 1
     return number, design.folder / DATA / f"{number:04d}-{code}.jsonl"
-
-
-def participants(design: Design) -> list[Participant]:
-    """Return all participants. UsageError: a record is damaged, or of another design."""
-    found = []
-    for code, (number, path) in record_files(design).items():
-        with TrialRecord(path, design.digest) as record:
-            rows, header = record.trials, record.header
-        is_complete = len(rows) == len(session(design, number))
-        why = _exclusion(design, rows) if is_complete else "did not finish"
-        found.append(Participant(number, code, header, rows, is_complete, why))
-    return found
 
 
 def _exclusion(design: Design, rows: list[dict[str, Any]]) -> str:
@@ -87,8 +90,8 @@ def _exclusion(design: Design, rows: list[dict[str, Any]]) -> str:
     if median_s < study.fastest_s:
         return f"median answer after {median_s:.2f} s, under {study.fastest_s:g} s"
     for question in design.questions.values():
+        own = [row for row in counted if row["question"] == question.name]
         if question.paradigm == "rating":
-            own = [row for row in counted if row["question"] == question.name]
             rated = [row["answer"] for row in own if row["condition_2"] == question.reference]
             low = float(np.mean([one < study.reference_below for one in rated]))
             if low > study.reference_share:
@@ -99,21 +102,20 @@ def _exclusion(design: Design, rows: list[dict[str, Any]]) -> str:
     return ""
 
 
-def columns() -> dict[str, str]:
-    """Return all columns of the table, and their meaning, from the codebook."""
-    text = (files("audioflinger_hook.study") / "built_in/codebook.md").read_text()
-    return dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", text, re.MULTILINE))
+def columns() -> list[str]:
+    """Return the names of all columns of the table, from the codebook."""
+    return re.findall(r"^\| `(\w+)` \|", (BUILT_IN / CODEBOOK).read_text(), re.MULTILINE)
 
 
 def write_table(design: Design, people: Sequence[Participant]) -> None:
     """Write all rows to `data/trials.csv`, and `codebook.md`."""
+    (design.folder / DATA).mkdir(exist_ok=True)
     out = io.StringIO()
-    table = csv.DictWriter(out, list(columns()), lineterminator="\n")
+    table = csv.DictWriter(out, columns(), lineterminator="\n")
     table.writeheader()
     for one in people:
         for row in one.rows:
             choices = {"choices": " ".join(row["choices"])}
             table.writerow({"participant": one.code, **row, **choices, "excluded": one.excluded})
     write_bytes_atomically(design.folder / DATA / TABLE, out.getvalue().encode())
-    text = (files("audioflinger_hook.study") / "built_in/codebook.md").read_bytes()
-    write_bytes_atomically(design.folder / "codebook.md", text)
+    write_bytes_atomically(design.folder / CODEBOOK, (BUILT_IN / CODEBOOK).read_bytes())

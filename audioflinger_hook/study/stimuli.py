@@ -1,220 +1,196 @@
-"""The files that trials play: sounds and vibrations, of equal level in all conditions of a trial.
+"""What trials play: sounds and vibrations, of equal level in all conditions of a trial.
 
 Level is the r.m.s. of the vibration with the weighting Wk of ISO 2631-1, relative to a full-scale
-sine of 80 Hz. It is measured from the file. A sound and its vibrations begin together and have the
-same length, with silence around for the delays.
+sine of 80 Hz. It is measured from the frames that are played. A sound and its vibrations begin
+together and have the same length, with silence around for the delays.
 """
 
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cache, lru_cache
 from hashlib import sha256
-from math import log10
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
-import soundfile
 from scipy.fft import irfft, rfft
 from scipy.signal import sosfilt
 
 from audioflinger_hook.baselines import BASELINES
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.daemon.trial_sound import RATE_HZ
 from audioflinger_hook.offline.render import render_file
 from audioflinger_hook.study.design import GAP_S, NONE, Design
-from audioflinger_hook.study.trials import Trial
+from audioflinger_hook.trials.player import Played, mixed
 from device.drive.exposure import wk_sections
 from device.errors import UsageError
-from device.units import FloatArray, amplitude_to_db
-from device.wav_output import WavOutput
+from device.units import Float32Array, FloatArray, amplitude_to_db, db_to_amplitude
 
-FOLDER = "stimuli"  # in the study's folder; it can be deleted, and is made again
 REFERENCE_HZ, PEAK_MAX = 80.0, 0.98
-SILENT = 1e-6  # r.m.s. of a vibration that counts as none
+SILENT, LEAST_DBFS = 1e-6, -150.0  # r.m.s. of a vibration that counts as none; level of silence
 
 
 @dataclass(frozen=True)
-class Vibration:
-    """Files of one interval. digest: SHA-256 of the vibration's file. Levels of silence: -inf."""
+class Interval:
+    """What an interval of a trial plays, (frames, channels) at 48 kHz.
 
-    sound: Path | None
-    path: Path
+    digest: SHA-256 of the vibration's bytes. weighted_db: level; None of silence. level_dbfs:
+    r.m.s. of the vibration, at least -150.
+    """
+
+    sound: Float32Array | None
+    vibration: Float32Array
     digest: str
-    weighted_db: float
-    peak_dbfs: float
+    weighted_db: float | None
     level_dbfs: float
-    seconds: float
+
+    @property
+    def seconds(self) -> float:
+        """Duration."""
+        return len(self.vibration) / RATE_HZ
+
+    def columns(self, number: int, played: Played) -> dict[str, Any]:
+        """Return the columns of interval `number`, 1 or 2."""
+        made = {"vibration_sha256": self.digest, "weighted_db": self.weighted_db} | vars(played)
+        return {f"{key}_{number}": value for key, value in made.items()}
 
 
 class Stimuli:
-    """Makes the files of a design in its folder `stimuli` as they are needed.
+    """Makes what a design's trials play, as it is needed.
 
-    design: the study's. lowered_db: by sound, how much all conditions were lowered so that none
-    exceeds full scale.
+    lowered_db: by sound, how much all conditions were lowered so that none exceeds full scale.
     """
 
     def __init__(self, design: Design) -> None:
-        self.design, self._folder = design, design.folder / FOLDER
-        self.lowered_db: dict[str, float] = {}
-        self._made: dict[tuple[object, ...], Vibration] = {}
-
-    @cached_property
-    def pad_s(self) -> float:
-        """Silence before and after each sound, in s: half the gap, and the longest delay."""
-        delays = [abs(one.delay_ms) for one in self.design.conditions.values()]
-        questions = [q for q in self.design.questions.values() if q.paradigm == "synchrony"]
+        self.design, self.lowered_db = design, dict[str, float]()
+        delays = [abs(one.delay_ms) for one in design.conditions.values()]
+        questions = [one for one in design.questions.values() if one.paradigm == "synchrony"]
         offsets = [abs(ms) for question in questions for ms in question.offsets_ms]
-        return 0.5 * GAP_S + (max(delays) + max(offsets, default=0.0)) / 1e3
+        self._pad = round(RATE_HZ * (0.5 * GAP_S + (max(delays) + max(offsets, default=0)) / 1e3))
+        self._interval, self._unit = lru_cache(64)(self._make), cache(self._compute)
+        self._sound, self._heard = cache(self._read), cache(self._mask)
+        self._level = cache(self._common)
 
-    def of(self, trial: Trial) -> list[Vibration]:
-        """Return the files of all intervals of a trial. UsageError: they cannot be made."""
-        return [self.vibration(trial, interval) for interval in range(len(trial.conditions))]
-
-    def vibration(self, trial: Trial, interval: int) -> Vibration:
-        """Return the files of an interval, 0 or 1, of a trial. UsageError: they cannot be made."""
-        name, gain_db = trial.conditions[interval], trial.gains_db[interval]
-        heard = self.design.questions[trial.question].sound
-        key = (trial.stimulus, name, gain_db, trial.offset_ms, heard)
-        if key not in self._made:
-            self._made[key] = self._make(*key)
-        return self._made[key]
+    def of(self, row: Mapping[str, Any]) -> list[Interval]:
+        """Return all intervals of a trial. UsageError: they cannot be made."""
+        heard = self.design.questions[row["question"]].sound
+        return [
+            self._interval(
+                row["stimulus"], row[f"condition_{i}"], row[f"gain_db_{i}"], row["offset_ms"], heard
+            )
+            for i in (1, 2)
+            if f"condition_{i}" in row
+        ]
 
     def mistakes(self) -> list[str]:
         """Make one vibration of each kind; return why others cannot be made."""
         found = []
         for question in self.design.questions.values():
             for stimulus in question.stimuli:
+                self._level(stimulus)
                 for name in question.conditions:
                     try:
-                        self._levelled(stimulus, name)
+                        self._unit(stimulus, name)
                     except UsageError as error:
                         found.append(str(error))
         return list(dict.fromkeys(found))
 
     def _make(
         self, stimulus: str, name: str, gain_db: float, offset_ms: float, heard: bool
-    ) -> Vibration:
-        self._folder.mkdir(exist_ok=True)
-        sound, rate = self._sound(stimulus)
-        pad = round(self.pad_s * rate)
-        heard_path = None
-        if heard or self.design.study.masking_db is not None:
-            named = f"{stimulus}{'' if heard else '-masking'}.wav"
-            heard_path = self._folder / named.replace("/", "_")
-            _write(heard_path, self._masked(sound if heard else 0.0 * sound, pad, rate), rate)
-        frames = len(sound) + 2 * pad
-        vibration, its_delay_ms = np.zeros(len(sound)), 0.0
-        if not self._is_none(name):
-            condition = self.design.conditions[name]
-            its_delay_ms = condition.delay_ms
-            gain = 10.0 ** ((gain_db + condition.gain_db) / 20.0)
-            vibration = self._levelled(stimulus, name) * gain
-        if (peak := float(np.abs(vibration).max())) > 1.0:
-            over = f"{stimulus!r} as {name!r} would exceed full scale by {20 * log10(peak):.1f} dB"
-            raise UsageError(f"{over}; reduce level_db, gain_db or highest_db")
-        start = pad + round((offset_ms + its_delay_ms) * rate / 1e3)
-        padded = np.zeros((frames, 1))
-        padded[start : start + len(vibration), 0] = vibration
-        named = f"{stimulus}-{name}{gain_db:+.1f}dB{offset_ms:+.0f}ms.wav"
-        path = self._folder / named.replace("/", "_")
-        _write(path, padded, rate)
-        played = soundfile.read(path, always_2d=True)[0][:, 0]
-        levels = amplitude_to_db(float(np.abs(played).max())), amplitude_to_db(_rms(played))
-        weighted_db = amplitude_to_db(weighted_level(played, rate, len(sound)))
-        digest = sha256(path.read_bytes()).hexdigest()
-        return Vibration(heard_path, path, digest, weighted_db, *levels, frames / rate)
+    ) -> Interval:
+        condition, sound = self.design.conditions.get(name), self._sound(stimulus)
+        unit, delay_ms, gain = self._unit(stimulus, name), offset_ms, self._level(stimulus)
+        if condition:
+            delay_ms += condition.delay_ms
+            gain *= db_to_amplitude(gain_db + condition.gain_db)
+        if (peak := gain * float(np.abs(unit).max())) > 1.0:
+            over = f"would exceed full scale by {amplitude_to_db(peak):.1f} dB"
+            raise UsageError(
+                f"{stimulus!r} as {name!r} {over}; reduce level_db, gain_db or highest_db"
+            )
+        vibration = np.zeros((len(sound) + 2 * self._pad, 1), np.float32)
+        start = self._pad + round(delay_ms * RATE_HZ / 1e3)
+        vibration[start : start + len(unit), 0] = gain * unit
+        is_heard = heard or self.design.study.masking_db is not None
+        weighted = weighted_level(vibration[:, 0], len(sound))
+        return Interval(
+            self._heard(stimulus, heard) if is_heard else None,
+            vibration,
+            sha256(vibration.tobytes()).hexdigest(),
+            amplitude_to_db(weighted) if weighted > 0.0 else None,
+            max(LEAST_DBFS, amplitude_to_db(_rms(vibration))),
+        )
 
-    def _is_none(self, name: str) -> bool:
-        return name == NONE or self.design.conditions[name].method == NONE
+    def _read(self, stimulus: str) -> Float32Array:
+        return mixed(self.design.stimuli[stimulus].file, None)[:, :2]
 
-    @cache  # noqa: B019 - as long as the study runs
-    def _sound(self, stimulus: str) -> tuple[FloatArray, int]:
-        sound, rate = soundfile.read(self.design.stimuli[stimulus].file, always_2d=True)
-        return sound, rate
+    def _mask(self, stimulus: str, heard: bool) -> Float32Array:
+        """Return what is heard: the sound, if `heard`, and the masking noise of the design."""
+        padded = np.pad(self._sound(stimulus) * heard, ((self._pad, self._pad), (0, 0)))
+        if (masking_db := self.design.study.masking_db) is not None:
+            noise = np.random.default_rng(self.design.study.seed).standard_normal(len(padded))
+            hz = np.fft.rfftfreq(len(padded), 1.0 / RATE_HZ)
+            pink = irfft(rfft(noise) / np.sqrt(np.maximum(hz, 20.0)), len(padded))
+            padded = padded + (db_to_amplitude(masking_db) / _rms(pink) * pink)[:, None]
+        return padded.astype(np.float32)
 
-    @cache  # noqa: B019
-    def _vibration(self, stimulus: str, name: str) -> FloatArray:
-        sound, rate = self._sound(stimulus)
-        condition = self.design.conditions[name]
+    def _compute(self, stimulus: str, name: str) -> FloatArray:
+        """Return a vibration of the level 1, (frames,); without vibration, one zero."""
+        condition, sound = self.design.conditions.get(name), self._sound(stimulus)
+        if condition is None or condition.method == NONE:
+            return np.zeros(1)
         if condition.method in BASELINES:
-            stream = BASELINES[condition.method](rate, sound.shape[1])
+            stream = BASELINES[condition.method](RATE_HZ, 2)
             whole = np.concatenate((stream.process(sound), stream.finish()))[:, 0]
-            found: FloatArray = whole[stream.latency_frames :]
+            found: FloatArray | Float32Array = whole[stream.latency_frames :]
         elif path := self.design.vibration_file(condition, stimulus):
-            read, its_rate = soundfile.read(path, always_2d=True)
-            if its_rate != rate or abs(len(read) - len(sound)) > 0.001 * rate:
-                raise UsageError(
-                    f"{path} has {len(read)} frames at {its_rate} Hz, the sound {len(sound)} at "
-                    f"{rate} Hz; make both equal"
-                )
-            found = np.resize(read.mean(axis=1), len(sound))
+            found = mixed(None, path)[:, 2]
+            if abs(len(found) - len(sound)) > 0.001 * RATE_HZ:
+                lengths = f"{len(found) / RATE_HZ:.3f} s, the sound {len(sound) / RATE_HZ:.3f} s"
+                raise UsageError(f"{path} lasts {lengths}; make both equal")
         else:
             with TemporaryDirectory() as folder:
                 target = Path(folder) / "vibration.wav"
                 source = self.design.stimuli[stimulus].file
                 render_file(source, target, Settings(profile=condition.method))
-                found = soundfile.read(target, always_2d=True)[0][:, 0]
+                found = mixed(None, target)[:, 2]
         if _rms(found) < SILENT:
             told = f"condition {name!r} gives no vibration for {stimulus!r}"
             raise UsageError(f"{told}; leave one of them out of the question")
-        return found
+        whole = np.resize(found, len(sound)).astype(float)
+        return whole / weighted_level(whole, len(sound))
 
-    def _levelled(self, stimulus: str, name: str) -> FloatArray:
-        """Return a vibration at the level of the study, or lower if a condition needs it."""
-        if self._is_none(name):
-            return np.zeros(1)
-        together = {
-            one
-            for q in self.design.questions.values()
-            if stimulus in q.stimuli
-            for one in q.conditions
-            if not self._is_none(one)
-        }
-        rate = self._sound(stimulus)[1]
-        peaks = []
-        for one in together:
+    def _common(self, stimulus: str) -> float:
+        """Return the level of all conditions of a sound: the study's, or lower if one needs it."""
+        questions = [q for q in self.design.questions.values() if stimulus in q.stimuli]
+        peaks = [1.0]
+        for name in {name for question in questions for name in question.conditions}:
             with suppress(UsageError):
-                signal = self._vibration(stimulus, one)
-                gain_db = max(0.0, self.design.conditions[one].gain_db)
-                crest = np.abs(signal).max() / weighted_level(signal, rate, len(signal))
-                peaks.append(float(crest) * 10.0 ** (gain_db / 20.0))
-        wanted = 10.0 ** (self.design.study.level_db / 20.0)
-        level = min(wanted, PEAK_MAX / max(peaks, default=1.0))
-        self.lowered_db[stimulus] = 20.0 * log10(wanted / level)
-        signal = self._vibration(stimulus, name)
-        return np.asarray(signal * (level / weighted_level(signal, rate, len(signal))))
-
-    def _masked(self, sound: FloatArray, pad: int, rate: int) -> FloatArray:
-        padded = np.pad(sound, ((pad, pad), (0, 0)))
-        if (masking_db := self.design.study.masking_db) is not None:
-            noise = np.random.default_rng(self.design.study.seed).standard_normal(len(padded))
-            hz = np.fft.rfftfreq(len(padded), 1.0 / rate)
-            pink = irfft(rfft(noise) / np.sqrt(np.maximum(hz, 20.0)), len(padded))
-            padded = padded + (10.0 ** (masking_db / 20.0) / _rms(pink) * pink)[:, None]
-        return padded
+                gain_db = max(0.0, self.design.conditions[name].gain_db)
+                peaks.append(np.abs(self._unit(stimulus, name)).max() * db_to_amplitude(gain_db))
+        wanted = db_to_amplitude(self.design.study.level_db)
+        level = min(wanted, PEAK_MAX / max(peaks))
+        self.lowered_db[stimulus] = amplitude_to_db(wanted / level)
+        return float(level)
 
 
-def _write(path: Path, signal: FloatArray, rate: int) -> None:
-    output = WavOutput(path, rate, signal.shape[1])
-    output.write(signal)
-    output.close()
+def _rms(signal: FloatArray | Float32Array) -> float:
+    return float(np.sqrt(np.mean(np.square(signal, dtype=float))))
 
 
-def _rms(signal: FloatArray) -> float:
-    return float(np.sqrt(np.mean(signal**2)))
+def weighted_level(signal: FloatArray | Float32Array, frames: int) -> float:
+    """Return the level of a vibration, (samples,) at 48 kHz; 1 for a full-scale sine of 80 Hz.
 
-
-def weighted_level(signal: FloatArray, rate: int, frames: int) -> float:
-    """Return the level of a vibration, (samples,); 1 for a full-scale sine of 80 Hz.
-
-    rate: in Hz. frames: length without the silence around.
+    frames: length without the silence around.
     """
-    ring = np.zeros(rate // 2)  # the filter's ringing counts
-    weighted = sosfilt(wk_sections(rate), np.concatenate((signal, ring)))
-    return float(np.sqrt(np.sum(weighted**2) / frames)) / _of_sine(rate)
+    ring = np.zeros(RATE_HZ // 2)  # the filter's ringing counts
+    weighted = sosfilt(wk_sections(RATE_HZ), np.concatenate((signal, ring)))
+    return float(np.sqrt(np.sum(weighted**2) / frames)) / _of_sine()
 
 
-@lru_cache
-def _of_sine(rate: int) -> float:
-    sine = np.sin(2.0 * np.pi * REFERENCE_HZ / rate * np.arange(4 * rate))
-    return float(np.sqrt(np.mean(sosfilt(wk_sections(rate), sine)[rate:] ** 2)))
+@cache
+def _of_sine() -> float:
+    sine = np.sin(2.0 * np.pi * REFERENCE_HZ / RATE_HZ * np.arange(4 * RATE_HZ))
+    return _rms(sosfilt(wk_sections(RATE_HZ), sine)[RATE_HZ:])

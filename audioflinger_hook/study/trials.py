@@ -1,101 +1,93 @@
-"""The trials of a participant: their order and sides are balanced exactly, then shuffled."""
+"""The trials of a participant: their order and sides are balanced exactly, then shuffled.
 
-from dataclasses import dataclass, replace
+A trial is the part of a row of the record that is known before its answer. `built_in/codebook.md`
+describes the columns.
+"""
+
+from collections.abc import Mapping
+from itertools import product
+from typing import Any
 
 import numpy as np
 
+from audioflinger_hook.study.curves import Counts, Curve, tested
 from audioflinger_hook.study.design import Design, Question
 
-FIRST, SECOND = "1", "2"
-JUDGEMENTS = {"simultaneity": ("yes", "no"), "order": ("sound", "vibration")}
+PRACTICE_BELOW_DB = 2.0  # level of adaptive practice trials, below the strongest
 
 
-@dataclass(frozen=True)
-class Trial:
-    """One trial. Two intervals have two conditions, one interval has one.
-
-    number: place in the participant's session, from 1. block: from 1. offset_ms: delay of the
-    vibration. gains_db: of each interval, added to the condition's. choices: in the order of their
-    buttons.
-    """
-
-    question: str
-    stimulus: str
-    conditions: tuple[str, ...]
-    choices: tuple[str, ...] = ()
-    offset_ms: float = 0.0
-    gains_db: tuple[float, ...] = (0.0, 0.0)
-    number: int = 0
-    block: int = 0
-    is_practice: bool = False
-
-
-def session(design: Design, participant: int) -> list[Trial]:
+def session(design: Design, participant: int) -> list[dict[str, Any]]:
     """Return all trials of a participant in their order, practice included.
 
     participant: number of the participant, from 0. Equal numbers give equal trials. The questions
     rotate from participant to participant. For each pair of conditions and each sound, each
     condition comes first in half of the trials, and each answer is on the left in half of them.
     """
-    names = list(design.questions)
-    turned = names[participant % len(names) :] + names[: participant % len(names)]
-    trials: list[Trial] = []
-    for name in turned:
-        question = design.questions[name]
+    names, rows = list(design.questions), list[dict[str, Any]]()
+    turn = participant % len(names)
+    for name in names[turn:] + names[:turn]:
         rng = np.random.default_rng((design.study.seed, participant, names.index(name)))
-        kinds = balanced(question, participant)
+        kinds = balanced(design.questions[name], participant)
         kinds = [kinds[i] for i in rng.permutation(len(kinds))]
-        practice = [kinds[i % len(kinds)] for i in range(design.study.practice)]
-        trials += [replace(trial, is_practice=True) for trial in practice] + kinds
-    done, numbered = 0, []
-    for number, trial in enumerate(trials, 1):
-        numbered.append(replace(trial, number=number, block=1 + done // design.study.block))
-        done += not trial.is_practice
-    return numbered
+        rows += [kinds[i % len(kinds)] | {"practice": True} for i in range(design.study.practice)]
+        rows += kinds
+    done = 0
+    for number, row in enumerate(rows, 1):
+        row |= {"trial": number, "block": 1 + done // design.study.block}
+        done += not row["practice"]
+    return rows
 
 
-def balanced(question: Question, participant: int) -> list[Trial]:
+def balanced(question: Question, participant: int) -> list[dict[str, Any]]:
     """Return a participant's trials of one question, not shuffled."""
-    trials = []
     delays = question.offsets_ms if question.paradigm == "synchrony" else (0.0,)
-    for s, stimulus in enumerate(question.stimuli):
-        for pair in question.pairs:
-            for offset_ms in delays:
-                for repeat in range(question.repeats):
-                    trial = Trial(question.name, stimulus, pair, offset_ms=offset_ms)
-                    trials.append(_sided(trial, question, s, repeat, participant))
-    return trials
+    sounds, rows = list(question.stimuli), []
+    turn = participant % len(sounds)
+    for (s, sound), pair, offset_ms, repeat in product(
+        enumerate(sounds), question.pairs, delays, range(question.repeats)
+    ):
+        conditions, choices = [name for name in pair if name], [*question.kind["choices"]]
+        if question.kind["is_balanced"]:
+            # Over two repeats, order and side take both values; over four, all combinations come.
+            order, side = repeat % 2, (repeat + repeat // 2 + participant + s) % 2
+            conditions, choices = conditions[:: 1 - 2 * order], choices[:: 1 - 2 * side]
+        elif question.paradigm == "identification":
+            choices = sounds[turn:] + sounds[:turn]
+        what = {"question": question.name, "paradigm": question.paradigm, "practice": False}
+        row = what | {"stimulus": sound, "choices": choices, "offset_ms": offset_ms}
+        for i, condition in enumerate(conditions, 1):
+            row |= {f"condition_{i}": condition, f"gain_db_{i}": 0.0}
+        rows.append(row)
+    return rows
 
 
-def _sided(trial: Trial, question: Question, s: int, repeat: int, participant: int) -> Trial:
-    if question.paradigm == "rating":
-        return trial
-    if question.paradigm == "identification":
-        turn = participant % len(question.stimuli)
-        names = tuple(question.stimuli)
-        return replace(trial, conditions=trial.conditions[:1], choices=names[turn:] + names[:turn])
-    # Over two repeats, order and side each take both values; over four, all combinations come.
-    order, side = repeat % 2, (repeat + repeat // 2 + participant + s) % 2
-    choices = JUDGEMENTS[question.judgement] if trial.conditions[1] == "" else (FIRST, SECOND)
-    conditions = trial.conditions[:1] if trial.conditions[1] == "" else trial.conditions
-    if order:
-        conditions = conditions[::-1]
-    return replace(trial, conditions=conditions, choices=choices[::-1] if side else choices)
+class Script:
+    """Chooses the trials of a participant, by number: a `Script` of `trials.session`."""
 
+    def __init__(self, design: Design, number: int) -> None:
+        self._design, self._left = design, session(design, number)[::-1]
+        adaptive = [one for one in design.questions.values() if one.is_adaptive]
+        self._curves = {question.name: (Curve(question), Counts()) for question in adaptive}
 
-def tested(trial: Trial, question: Question) -> int:
-    """Return which interval of an adaptive trial has the tested condition, 0 or 1."""
-    return int(trial.conditions[0] == question.pairs[0][1])
+    def next_trial(self) -> tuple[dict[str, Any], dict[str, Any]] | None:
+        """Return the next trial, at the level that tells most, twice; None at the end."""
+        if not self._left:
+            return None
+        row = self._left[-1]
+        if row["question"] in self._curves:
+            question = self._design.questions[row["question"]]
+            (curve, counts), place = self._curves[question.name], tested(row, question)
+            level_db = question.highest_db - PRACTICE_BELOW_DB
+            if not row["practice"]:
+                none = np.zeros((2, len(curve.xs)))
+                key = row[f"condition_{place}"], row["stimulus"]
+                level_db = curve.next_x(*counts.get(key, none))
+            row = row | {f"gain_db_{place}": level_db}
+        return row, row
 
-
-def counted(trial: Trial, question: Question, answer: str) -> bool:
-    """Return whether the answer is the one that `curves` counts. answer: one of the choices."""
-    if question.paradigm == "synchrony":
-        return answer == JUDGEMENTS[question.judgement][0]
-    return answer == (FIRST, SECOND)[tested(trial, question)]
-
-
-def at_level(trial: Trial, question: Question, level_db: float) -> Trial:
-    """Return an adaptive trial in which the tested condition has this level."""
-    place = tested(trial, question)
-    return replace(trial, gains_db=tuple(level_db if i == place else 0.0 for i in (0, 1)))
+    def take(self, row: Mapping[str, Any]) -> None:
+        """Count a recorded answer."""
+        self._left.pop()
+        if row["question"] in self._curves and not row["practice"]:
+            curve, counts = self._curves[row["question"]]
+            curve.counts([row], counts)

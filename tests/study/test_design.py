@@ -2,7 +2,7 @@
 
 import pytest
 
-from audioflinger_hook.study.design_check import check
+from audioflinger_hook.study.design import check
 from tests.support.commands import call
 from tests.support.studies import QUESTIONS, make_study
 

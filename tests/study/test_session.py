@@ -8,12 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from audioflinger_hook.study.design_check import load
-from audioflinger_hook.study.people import People
-from audioflinger_hook.study.session import Simulated, StudyPerson, run
+from audioflinger_hook.study.design import load
+from audioflinger_hook.study.people import People, Simulated
+from audioflinger_hook.study.session import Participant
 from audioflinger_hook.study.stimuli import Stimuli
+from audioflinger_hook.study.trials import Script
 from audioflinger_hook.trials.player import NotPlayedError
 from audioflinger_hook.trials.record import TrialRecord
+from audioflinger_hook.trials.session import run
 from device.errors import WriteError
 from tests.support.commands import call, start
 from tests.support.studies import QUESTIONS, TRUTHS, make_study
@@ -37,7 +39,7 @@ def test_interrupted_anywhere_a_session_ends_with_the_rows_of_an_uninterrupted_o
     def go(path, stop_after):
         with TrialRecord(path, design.digest) as record:
             who = Simulated(people, 0, stimuli, record.trials)
-            for done, _ in enumerate(run(design, 0, record, who), 1):
+            for done, _ in enumerate(run(record, Script(design, 0), who.answer), 1):
                 if done == stop_after:
                     raise Killed
 
@@ -115,7 +117,7 @@ def test_a_full_disk_ends_the_session_with_the_last_trial_saved(tmp_path):
     with Full(tmp_path / "r.jsonl", design.digest) as record:
         who = Simulated(People(design, {}, 1, 2), 0)
         with pytest.raises(WriteError):
-            list(run(design, 0, record, who))
+            list(run(record, Script(design, 0), who.answer))
     assert [row["trial"] for row in rows_of(tmp_path / "r.jsonl")] == [1, 2, 3, 4, 5]
 
 
@@ -159,8 +161,8 @@ def test_a_person_hears_again_waits_for_the_device_and_answers_each_trial_once(t
     lost, stopped = NotPlayedError("the device was lost"), replace(PLAYED, stopped=True)
     answers, player = Answers(None, None, "again"), Player({5: lost, 9: stopped})
     with TrialRecord(tmp_path / "r.jsonl", design.digest) as record:
-        who = StudyPerson(person(player, answers), Stimuli(design), 9)
-        total = len(list(run(design, 0, record, who)))
+        who = Participant(person(player, answers), Stimuli(design), 9)
+        total = len(list(run(record, Script(design, 0), who.answer, who.pause)))
         rows = record.trials
     assert [row["trial"] for row in rows] == list(range(1, total + 1))
     assert sum(row["again"] for row in rows) == 1

@@ -4,9 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import soundfile
+from numpy.typing import NDArray
+from scipy.stats import norm
 
-from audioflinger_hook.study.design import Design
-from audioflinger_hook.study.design_check import load
+from audioflinger_hook.study.design import Design, Question, load
+from audioflinger_hook.study.paradigms import bradley_terry, chances, information
+from audioflinger_hook.study.people import People
+from audioflinger_hook.study.trials import balanced
+from audioflinger_hook.trials.simulated import with_lapses
 
 RATE = 48_000
 QUESTIONS = {
@@ -52,3 +57,49 @@ def make_study(folder: Path, *paradigms: str, participants: int = 20, more: str 
     text = design_text(*paradigms, participants=participants, more=more)
     (folder / "design.toml").write_text(text)
     return load(folder)
+
+
+def truth(question: Question, people: People, count: int = 4_000) -> NDArray[np.float64]:
+    """Return the true values of what a question measures, for people drawn without end.
+
+    For preference and identification, it is computed from the mean probabilities of all answers.
+    """
+    rng = np.random.default_rng((people.seed, 1))
+    drawn = [people.drawn(question.name, rng) for _ in range(count)]
+    names, sounds = list(question.conditions), list(question.stimuli)
+    if question.paradigm in ("preference", "identification"):
+        wins = np.zeros((1, len(names), len(names)))
+        confusion = np.zeros((1, len(names), len(sounds), len(sounds)))
+        rows = {
+            (r["stimulus"], r["condition_1"], r.get("condition_2")): r
+            for r in balanced(question, 0)
+        }
+        for row in rows.values():
+            p = np.mean(
+                [with_lapses(chances(question, row, o), float(o["lapse"][0])) for o in drawn],
+                axis=0,
+            )
+            at = names.index(row["condition_1"])
+            for choice, share in zip(row["choices"], p, strict=True):
+                if question.paradigm == "identification":
+                    place = sounds.index(row["stimulus"]), sounds.index(choice)
+                    confusion[0, at, *place] += share
+                else:
+                    pair = at, names.index(row["condition_2"])
+                    wins[0, *(pair if choice == "1" else pair[::-1])] += share
+        is_wins = question.paradigm == "preference"
+        return np.asarray((bradley_terry(wins) if is_wins else information(confusion))[0])
+    if question.paradigm == "rating":
+        z = norm.ppf((np.arange(200) + 0.5) / 200)[:, None]  # ratings end at 0 and 100
+        rated = [
+            (1.0 - one["lapse"]) * np.clip(one["rating"] + z * one["noise"], 0, 100)
+            + one["lapse"] * 50.0
+            for one in drawn
+        ]
+        return np.asarray(np.mean(rated, axis=(0, 1)))
+    places = [names.index(pair[0]) for pair in question.pairs]
+    place, jnd = (
+        np.mean([one[key] for one in drawn], axis=0)[places] for key in question.kind["parameters"]
+    )
+    is_window = question.paradigm == "synchrony" and question.judgement == "simultaneity"
+    return np.concatenate([place, jnd, *([place - jnd, place + jnd] if is_window else ())])

@@ -6,7 +6,7 @@ import { element, fill, find } from "/elements.js";
 const GONE = "The program of the session does not answer. All answers are kept; run its command again.";
 const WAITING = { number: 0, kind: "playing", title: "One moment", text: [], choices: [], also: [], labels: [], done: 0, total: 0 };
 const light = matchMedia("(prefers-color-scheme: light)");
-const state = { screen: WAITING, drawn: null, paused: false, pauses: 0, pausedMs: 0, pausedAt: 0, ended: false, stopped: false };
+const state = { screen: WAITING, drawn: null, paused: false, pauses: 0, pausedMs: 0, pausedAt: 0, ended: false, stopped: false, buttons: [], held: -1 };
 const connection = new Connection((kind, content) => {
   if (kind === "trial") take(content);
   else if (kind === "link") notice(state.ended ? "" : GONE);
@@ -51,7 +51,7 @@ class Screen {
     this.api.cancelAllKeyboardResponses();
     showHead(screen);
     const title = element("h1", { tabindex: "-1" }, screen.title);
-    this.buttons = [];
+    state.buttons = this.buttons = [];
     display.replaceChildren(
       ...(screen.practice ? [element("strong", { class: "practice" }, "Practice")] : []),
       title,
@@ -113,6 +113,15 @@ class Screen {
   }
 }
 
+/** A controller's buttons press those of the screen in their order; a held button counts once. */
+function readControllers() {
+  const pressed = navigator.getGamepads().flatMap((one) => (one ? [one.buttons.findIndex((button) => button.pressed)] : []));
+  const index = Math.max(-1, ...pressed);
+  if (index !== state.held) state.buttons[index]?.click();
+  state.held = index;
+  requestAnimationFrame(readControllers);
+}
+
 function showHead({ kind, done, total, choices }) {
   find("progress").hidden = !total;
   Object.assign(find("bar-done"), { max: total || 1, value: done });
@@ -140,6 +149,7 @@ find("end").onclick = async () => {
 };
 const showTheme = () => { document.documentElement.dataset.theme = light.matches ? "light" : "dark"; };
 light.onchange = showTheme;
+addEventListener("gamepadconnected", readControllers, { once: true });
 showTheme();
 connection.open();
 const jsPsych = jsPsychModule.initJsPsych({ display_element: "screen" });

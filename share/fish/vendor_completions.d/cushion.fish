@@ -204,6 +204,7 @@ complete -c cushion -n '__fish_seen_subcommand_from study' -l debug -d 'show tra
 complete -c cushion -n '__fish_seen_subcommand_from study' -f -a 'new check run report'
 complete -c cushion -n '__fish_seen_subcommand_from study' -l design -r -f -a 'cinema delay identify' -d 'of new - cinema, delay or identify; default - cinema'
 complete -c cushion -n '__fish_seen_subcommand_from study' -l participant -r -d 'of run - an anonymous code, such as P01'
+complete -c cushion -n '__fish_seen_subcommand_from study' -l device -r -d 'of run - see cushion devices; default - the daemons'
 complete -c cushion -n '__fish_seen_subcommand_from study' -l simulate -r -d 'of run - people with known true parameters, in place of a person'
 complete -c cushion -n '__fish_seen_subcommand_from study' -l no-power -d 'of check - do not simulate studies'
 complete -c cushion -n '__fish_seen_subcommand_from study' -l out -r -d 'of report - the page; default - NAME/report.html'
