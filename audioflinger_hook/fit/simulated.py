@@ -31,7 +31,7 @@ class Curve(Text):
         """Refuse an empty table, and name each wrong frequency or sensitivity."""
         if not isinstance(value, dict) or not value:
             return Refusal("is not a table of frequencies", self.allowed)
-        hz = {text: float(text) if re.fullmatch(NUMBER, text) else None for text in value}
+        hz = {one: float(one) if re.fullmatch(NUMBER, str(one)) else None for one in value}
         found = [
             f"has {json.dumps(text)[:40]}: {json.dumps(level_db)[:40]}"
             for text, level_db in value.items()

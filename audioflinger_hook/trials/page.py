@@ -5,6 +5,7 @@ import os
 import threading
 from collections.abc import Callable, Coroutine, Mapping
 from contextlib import suppress
+from functools import partial
 from typing import Any, Literal, NamedTuple, TypeVar
 
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
@@ -126,7 +127,8 @@ class PageAnswers:
     def close(self) -> None:
         """Stop serving the page, which keeps its last screen. May be repeated."""
         with suppress(RuntimeError):  # the loop is closed
-            self._loop.call_soon_threadsafe(self._loop.call_later, LAST_S, self._task.cancel)
+            end = partial(self._loop.call_later, LAST_S, self._task.cancel)
+            self._loop.call_soon_threadsafe(end)
         self._thread.join()
 
     def _unless_ended(self, work: Coroutine[Any, Any, Found] | asyncio.Future[Found]) -> Found:

@@ -7,6 +7,7 @@ import threading
 from contextlib import closing
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -58,8 +59,8 @@ class Session:
 
     def __init__(self, folder, env, chromium):
         asked = ("study", "run", folder, "--participant", "P01", "--device", "sink:haptic")
-        self.process = start(*asked, env=env)
-        self.said = []
+        self.process: Any = start(*asked, env=env)
+        self.said: list[str] = []
         self._reader = threading.Thread(
             target=lambda: self.said.extend(iter(self.process.stdout.readline, "")), daemon=True
         )
