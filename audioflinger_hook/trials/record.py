@@ -26,10 +26,6 @@ def design_digest(design: Mapping[str, Any] | bytes) -> str:
     return sha256(design).hexdigest()
 
 
-class OtherDesignError(UsageError):
-    """A record belongs to another design."""
-
-
 class Rows:
     """The rows of a session, in memory. trials: in the order of answers. header: further facts."""
 
@@ -49,8 +45,8 @@ class TrialRecord(Rows, AbstractContextManager["TrialRecord"]):
     line, which kill -9 leaves, is removed. path: the file, which is made if it is missing, with its
     folder. design: the design's `design_digest`. header: further entries of a new file's header.
 
-    OtherDesignError: the file belongs to another design. UsageError: the file cannot be opened, is
-    no record, or another process has it open. WriteError: the header cannot be written.
+    UsageError: the file is no record or one of another design, or cannot be opened, or another
+    process has it open. WriteError: the header cannot be written.
     """
 
     def __init__(
@@ -111,7 +107,7 @@ class TrialRecord(Rows, AbstractContextManager["TrialRecord"]):
                 )
         self.header, *self.trials = rows
         if (found := self.header.get("design")) != design:
-            raise OtherDesignError(
+            raise UsageError(
                 f"the record {self.path} belongs to another design (SHA-256 {str(found)[:12]}, "
                 f"now {design[:12]}); restore that design, or begin a new record"
             )

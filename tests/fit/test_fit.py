@@ -18,7 +18,7 @@ from audioflinger_hook.fit.session import FIRST, SECOND, UNKNOWN, FitSession
 from audioflinger_hook.service.status import ExposureFigures
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.mapping import VibrationMapping
-from audioflinger_hook.trials.record import OtherDesignError, TrialRecord
+from audioflinger_hook.trials.record import TrialRecord
 from device.errors import UsageError, WriteError
 from tests.support.commands import call, document, refused, start
 from tests.support.signals import tone
@@ -135,7 +135,7 @@ def test_a_record_has_one_design_and_one_user_and_survives_a_full_disk(tmp_path)
     with TrialRecord(path, "a") as record:
         assert path.read_bytes() == whole
         assert (record.trials, record.header["seed"]) == ([{"trial": 0}, {"trial": 1}], 1)
-    with pytest.raises(OtherDesignError):
+    with pytest.raises(UsageError, match="another design"):
         TrialRecord(path, "b")
 
 
