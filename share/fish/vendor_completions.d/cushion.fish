@@ -195,7 +195,6 @@ complete -c cushion -n '__fish_seen_subcommand_from fit' -l page -d 'answer on a
 complete -c cushion -n '__fish_seen_subcommand_from fit' -l new -d 'begin again, and drop the answers of an interrupted fit'
 complete -c cushion -n '__fish_seen_subcommand_from fit' -l simulate -r -d 'let a simulated person answer; the file has its curve'
 complete -c cushion -n '__fish_seen_subcommand_from fit' -l seed -r -d 'seed of the order of trials; default - a new one'
-complete -c cushion -n '__fish_seen_subcommand_from fit' -l plot -r -d 'show, compare - write a picture (PNG)'
 complete -c cushion -n '__fish_seen_subcommand_from fit' -l json -d 'print one JSON document on stdout'
 complete -c cushion -n __fish_use_subcommand -f -a study -d 'design, run and report a study with people'
 complete -c cushion -n '__fish_seen_subcommand_from study' -s h -d 'show this help message and exit'
