@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,9 @@ needs_node = pytest.mark.skipif(NODE is None, reason="node is not installed")
 QUANTUM_S = 128 / 48_000
 
 
-def in_node(design: bytes, sound: np.ndarray, block: int, folder: Path) -> tuple[bytes, dict]:
+def in_node(
+    design: bytes, sound: np.ndarray, block: int, folder: Path
+) -> tuple[bytes, dict[str, Any]]:
     """Return the vibration of a sound (frames, channels), and the times and readings."""
     path = folder / "design"
     path.write_bytes(design)

@@ -1,6 +1,6 @@
 // Controls drawn from the schema of the config: label, range, unit, meaning, and the schema's own refusals.
 
-import { element, fill, newest, titled } from "/elements.js";
+import { element, fill, newest, titled } from "./elements.js";
 
 const ORDER = ["device_volume_db", "drop_in", "engine", "damping", "protection", "exposure_cap"]; // the rest follows
 const WORDS = { gain_db: ["Strength", "gentle", "full"], profile: ["Profile"], offset_ms: ["Delay", "at once", "later"] }; // label, ends of the slider

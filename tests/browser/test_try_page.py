@@ -1,0 +1,310 @@
+"""The page "Try it" in a real browser: files, bad input, outputs, and times without a network."""
+
+import gzip
+import json
+import shutil
+import subprocess
+import threading
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+from audioflinger_hook.monitor.try_page import PROFILES, RATES, first_files
+from tests.browser.conftest import says
+from tests.servers.listening import RATE_HZ, arriving, need, wait_for
+from tests.support.commands import call
+from tests.support.recordings import ROOT
+from tools.live_page import CHROMIUM, CHROMIUM_OPTIONS, browser, missing_browser
+from tools.sound_server import SoundServer, missing_programs
+from tools.try_page import server, write
+
+pytestmark = pytest.mark.browser
+
+FAKE_DEVICES = ("--use-fake-ui-for-media-stream", "--use-fake-device-for-media-stream")
+PLAYS_ALONE = "--autoplay-policy=no-user-gesture-required"
+PLAY = "document.getElementById('player').play()"
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of the page, on a server of static files."""
+    need(missing_browser())
+    folder = tmp_path_factory.mktemp("site") / "try"
+    write(folder)
+    with server(folder, 0) as serving:
+        threading.Thread(target=serving.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{serving.server_port}/"
+        serving.shutdown()
+
+
+@pytest.fixture(scope="module")
+def chromium(site):
+    with browser() as first, another(first, *FAKE_DEVICES, PLAYS_ALONE) as found:
+        yield found
+
+
+def another(chromium, *options: str, **how):
+    """Return another browser, which plays sound, asks for each permission, and closes itself."""
+    own = {"args": [*CHROMIUM_OPTIONS, *options], "ignore_default_args": ["--mute-audio"], **how}
+    return chromium.browser_type.launch(executable_path=CHROMIUM, headless=True, **own)
+
+
+@contextmanager
+def opened(chromium, site, script="", **options):
+    """A context with the page; the console must stay empty, and other origins unasked."""
+    context, said, asked = chromium.new_context(**options), [], []
+    context.add_init_script(script)
+    page = context.new_page()
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(site)
+    page.wait_for_function("document.getElementById('profile').length || !window.WebAssembly")
+    yield page
+    assert said == []
+    assert [url for url in asked if not url.startswith((site, "blob:"))] == []
+    context.close()
+
+
+def saved(page, path: Path, profile: str, folder: Path) -> bytes:
+    """Return the WAV that the page saves for a sound."""
+    page.select_option("#profile", profile)
+    page.set_input_files("#sound", path)
+    page.click("#make")
+    page.wait_for_selector("#vibration[data-state=done]")
+    with page.expect_download() as download:
+        page.click("#vibration")
+    download.value.save_as(folder / "saved.wav")
+    return (folder / "saved.wav").read_bytes()
+
+
+def sound(folder: Path, rate: int, channels: int, subtype: str) -> Path:
+    path, rng = folder / f"{channels}-{subtype}.wav", np.random.default_rng(rate)
+    frames = rng.normal(0.0, 0.3, (rate, channels)) * np.hanning(rate)[:, None]
+    if subtype == "FLOAT":
+        frames[100:110], frames[200] = 1e30, np.nan
+    soundfile.write(path, frames, rate, subtype)
+    return path
+
+
+def rendered(path: Path, profile: str, folder: Path) -> bytes:
+    assert call("render", path, folder / "rendered.wav", "--profile", profile).code == 0
+    return (folder / "rendered.wav").read_bytes()
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_a_saved_file_has_the_bytes_of_render(site, chromium, rate, tmp_path):
+    forms = [
+        (2, "PCM_16"),
+        (1, "PCM_U8"),
+        (8, "PCM_24"),
+        (2, "FLOAT"),
+        (6, "DOUBLE"),
+        (1, "PCM_32"),
+    ]
+    with opened(chromium, site) as page:
+        for profile, (channels, subtype) in zip([*PROFILES, "cinema", "game"], forms, strict=True):
+            path = sound(tmp_path, rate, channels, subtype)
+            expected = rendered(path, profile, tmp_path)
+            assert saved(page, path, profile, tmp_path) == expected, (profile, channels, subtype)
+
+
+def test_sounds_of_other_rates_and_formats_are_decoded_by_the_browser(site, chromium, tmp_path):
+    with opened(chromium, site) as page:
+        saved(page, sound(tmp_path, 8_000, 1, "PCM_16"), "cinema", tmp_path)
+        says(page, "#status", "Its 8000 Hz were converted to 48000 Hz.")
+        assert soundfile.info(tmp_path / "saved.wav").duration == pytest.approx(1.0, abs=0.01)
+        soundfile.write(tmp_path / "x.flac", np.zeros((RATE_HZ, 2)), RATE_HZ)
+        saved(page, tmp_path / "x.flac", "music", tmp_path)
+        says(page, "#status", "The browser decoded it")
+
+
+def hours(path: Path) -> None:
+    soundfile.write(path, np.zeros(1, np.int16), RATE_HZ, "PCM_16")
+    head = bytearray(path.read_bytes()[:44])
+    head[40:44] = (2 * 3 * 3_600 * RATE_HZ).to_bytes(4, "little")
+    path.write_bytes(head)
+    with path.open("r+b") as file:
+        file.truncate(44 + 2 * 3 * 3_600 * RATE_HZ)
+
+
+BAD_FILES = {
+    "is no sound that this browser can read": lambda path: path.write_text("no sound\n" * 99),
+    "is empty (0 bytes)": lambda path: path.write_bytes(b""),
+    "has no sound: it lasts 0 s": lambda path: soundfile.write(path, np.zeros((0, 2)), RATE_HZ),
+    "lasts 180 minutes and needs 2.1 GB of memory; at most 1.0 GB": hours,
+    "has 9 channels; at most 8": lambda path: soundfile.write(path, np.zeros((9, 9)), RATE_HZ),
+}
+
+
+@pytest.mark.parametrize("words", BAD_FILES)
+def test_a_file_that_cannot_be_used_is_refused_in_one_line(site, chromium, words, tmp_path):
+    BAD_FILES[words](tmp_path / "bad.wav")
+    with opened(chromium, site) as page:
+        page.set_input_files("#sound", tmp_path / "bad.wav")
+        if page.is_enabled("#make"):
+            page.click("#make")
+        says(page, "#status", words)
+        assert page.get_attribute("#vibration", "data-state") == "none"
+        assert page.inner_text("#make") == "Make the vibration as a file"
+
+
+DENIED = """navigator.mediaDevices.getDisplayMedia = async () => {
+  throw new DOMException("", "NotAllowedError");
+}"""
+
+
+@pytest.mark.parametrize(
+    ("script", "press", "words"),
+    [
+        ("delete window.WebAssembly", None, "lacks WebAssembly"),
+        ("delete window.AudioWorkletNode", None, "it lacks AudioWorklet"),
+        ("", "#microphone", "The microphone was refused"),
+        ("", "#find", "name the outputs only with this permission"),
+        (DENIED, "#screen", "No tab was shared"),
+    ],
+)
+def test_what_a_browser_lacks_or_a_person_refuses_is_said(site, chromium, script, press, words):
+    with another(chromium, FAKE_DEVICES[1]) as plain, opened(plain, site, script) as page:
+        if press:
+            page.click(press)
+        says(page, "#status", words)
+        assert page.get_attribute("#state", "data-tone") == "bad"
+
+
+@pytest.mark.parametrize("way", ["", "delete AudioContext.prototype.setSinkId"])
+def test_vibration_is_silent_until_an_output_is_chosen_and_then_comes_with_the_sound(
+    site, chromium, way, tmp_path
+):
+    with opened(chromium, site, way) as page:
+        page.click("[data-scene=chord]")
+        wait_for(lambda: page.evaluate("window.cushion.partials.length") > 2, "partials")
+        says(page, "#apart", "silent and only shown")
+        page.click("#find")
+        says(page, "#status", "Choose the output of the vibration, not your speakers")
+        assert "Default" not in page.inner_text("#output")
+        page.evaluate("document.getElementById('player').loop = true")
+        page.select_option("#output", index=1)
+        page.evaluate(PLAY)
+        says(page, "#status", "Vibration plays on Fake Audio Output 1")
+        wait_for(lambda: apart_ms(page) < 5.0, "one clock beside the other", 20.0)
+        page.evaluate("navigator.mediaDevices.enumerateDevices = async () => []")
+        page.evaluate("navigator.mediaDevices.dispatchEvent(new Event('devicechange'))")
+        says(page, "#status", "The output of the vibration has gone")
+        for source in ("microphone", "screen"):
+            page.click(f"#{source}")
+            says(page, "#status", "becomes vibration")
+        page.click("#stop")
+
+
+def apart_ms(page) -> float:
+    words = page.inner_text("#apart").split()
+    return float(words[words.index("ms") - 1]) if "apart" in words or "apart;" in words else 1e9
+
+
+def test_a_drifting_clock_is_followed():
+    if not shutil.which("node"):
+        pytest.skip("node is not installed")
+    drift = ["node", ROOT / "tests/support/drifting_clocks.mjs"]
+    done = subprocess.run(drift, capture_output=True, text=True, check=True)
+    for ppm, found in json.loads(done.stdout).items():
+        assert found["worst_ms"] < 5.0, (ppm, found)
+        assert found["dry"] == 0
+        assert found["told_ppm"] == pytest.approx(float(ppm), abs=40.0)
+
+
+def test_sound_and_vibration_come_together_on_two_sinks_of_a_sound_server(site, chromium, tmp_path):
+    need(missing_programs("pipewire"))
+    time_s = np.arange(40 * RATE_HZ) / RATE_HZ
+    bursts = 0.5 * np.sin(2 * np.pi * 150.0 * time_s) * (time_s % 0.5 < 0.2)
+    soundfile.write(tmp_path / "bursts.wav", np.stack([bursts, bursts], 1), RATE_HZ)
+    rendered(tmp_path / "bursts.wav", "cinema", tmp_path)
+    made, _ = soundfile.read(tmp_path / "rendered.wav")
+    offline_ms = 1e3 * (begins(made)[2] - begins(bursts)[2]) / RATE_HZ
+    with (
+        SoundServer("pipewire", Path("/tmp") / f"cushion-{tmp_path.name[-8:]}") as sinks,
+        another(chromium, PLAYS_ALONE, env=sinks.environment) as listening,
+        opened(listening, site, permissions=["microphone"]) as page,
+    ):
+        page.set_input_files("#sound", tmp_path / "bursts.wav")
+        page.evaluate(PLAY)
+        page.click("#find")
+        says(page, "#output", "haptic")
+        page.select_option("#output", label="haptic")
+        page.wait_for_timeout(15_000)
+        with (
+            arriving(sinks, "desktop.monitor") as heard,
+            arriving(sinks, "haptic.monitor") as felt,
+        ):
+            page.wait_for_timeout(10_000)
+            at_s = [[of.at_s(int(at)) for at in begins(of.frames()[:, 0])] for of in (heard, felt)]
+        late = [1e3 * min((f - h for f in at_s[1]), key=abs) for h in at_s[0][1:-1]]
+        print(
+            f"late by {np.median(late):.1f} ms, {offline_ms:.1f} ms in the file", np.round(late, 1)
+        )
+        assert abs(np.median(late) - offline_ms) < 5.0
+
+
+def begins(frames) -> np.ndarray:
+    """Return the frames at which bursts begin."""
+    loud = np.flatnonzero(np.abs(frames) > 0.3 * np.abs(frames).max())
+    return loud[np.insert(np.diff(loud) > 0.15 * RATE_HZ, 0, True)]
+
+
+def test_the_page_works_without_a_network_after_the_first_visit(site, chromium, tmp_path):
+    sizes = []
+    for name in first_files():
+        with urllib.request.urlopen(site + name) as answer:
+            sizes.append(len(gzip.compress(answer.read())))
+    print(f"{sum(sizes)} bytes over the wire, compressed")
+    assert sum(sizes) <= 250_000
+    with opened(chromium, site) as page:
+        page.evaluate("navigator.serviceWorker.ready")
+        wait_for(lambda: page.evaluate("navigator.serviceWorker.controller !== null"), "worker")
+        page.context.set_offline(True)
+        page.reload()
+        path = sound(tmp_path, 48_000, 2, "PCM_16")
+        assert saved(page, path, "cinema", tmp_path) == rendered(path, "cinema", tmp_path)
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+@pytest.mark.parametrize("size", [(1366, 768), (390, 844), (360, 640)])
+def test_everyone_can_use_the_page(site, chromium, size, theme):
+    viewport = {"width": size[0], "height": size[1]}
+    spec = find_spec("axe_playwright_python")
+    if spec is None or not spec.submodule_search_locations:
+        pytest.skip("axe-playwright-python is not installed")
+    axe = Path(spec.submodule_search_locations[0], "axe.min.js").read_text()
+    with opened(chromium, site, viewport=viewport, color_scheme=theme) as page:
+        page.click("[data-scene=engine]")
+        page.evaluate(axe)
+        assert page.evaluate("axe.run()")["violations"] == []
+        assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+        reached = set()
+        for _ in range(30):
+            page.keyboard.press("Tab")
+            reached.add(page.evaluate("document.activeElement.id"))
+        ids = {"sound", "profile", "make", "output", "find", "strength", "power", "microphone"}
+        assert ids <= reached
+
+
+def test_a_film_of_ten_minutes_is_made_fast_and_can_be_cancelled(site, chromium, tmp_path):
+    frames = np.tile(np.random.default_rng(3).normal(0.0, 0.1, (10 * RATE_HZ, 2)), (60, 1))
+    soundfile.write(tmp_path / "film.wav", frames, RATE_HZ, "PCM_16")
+    with opened(chromium, site) as page:
+        page.set_input_files("#sound", tmp_path / "film.wav")
+        page.click("#make")
+        wait_for(lambda: page.evaluate("document.getElementById('progress').value") > 0.05, "some")
+        page.click("#make")
+        says(page, "#status", "Cancelled.")
+        page.click("#make")
+        page.wait_for_selector("#vibration[data-state=done]", timeout=120_000)
+        print(page.inner_text("#status"))
+        speed = float(page.inner_text("#status").partition("made at ")[2].split()[0])
+        assert speed >= 25.0
