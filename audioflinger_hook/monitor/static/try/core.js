@@ -13,17 +13,14 @@ export function withChannels(design, channels) {
   if (end < DESIGN_HEAD || view.getUint32(end, true) !== crc32(made.subarray(0, end))) throw new Error("the design is damaged");
   for (let at = DESIGN_HEAD; at < end;) {
     const rows = view.getUint32(at + RECORD_NAME + 4, true), columns = view.getUint32(at + RECORD_NAME + 8, true);
-    if (nameAt(made, at) === "inputs") view.setBigInt64(at + RECORD_HEAD, BigInt(channels), true);
+    if (word(made.subarray(at, at + RECORD_NAME)) === "inputs") view.setBigInt64(at + RECORD_HEAD, BigInt(channels), true);
     at += RECORD_HEAD + 8 * Math.max(1, rows) * columns;
   }
   view.setUint32(end, crc32(made.subarray(0, end)), true);
   return made;
 }
 
-function nameAt(bytes, at) {
-  const name = bytes.subarray(at, at + RECORD_NAME);
-  return String.fromCharCode(...name.subarray(0, name.indexOf(0)));
-}
+const word = (bytes) => String.fromCharCode(...bytes.subarray(0, bytes.indexOf(0)));
 
 function crc32(bytes) {
   const table = Int32Array.from({ length: 256 }, (_, entry) => {
@@ -45,7 +42,7 @@ export class Core {
     const size = (which) => new DataView(core.memory.buffer).getUint32(core.core_sizes.value + 8 * which, true);
     const info = this.place(size(INFO));
     const misfit = core.core_check(at, fitted.length, info);
-    if (misfit) throw new Error(`the design cannot be used: ${this.text(misfit)}`);
+    if (misfit) throw new Error(`the design cannot be used: ${word(new Uint8Array(core.memory.buffer, misfit))}`);
     const about = new DataView(core.memory.buffer, info);
     const memory = about.getUint32(32, true); // `about` ends with the next growth of the memory
     Object.assign(this, { channels, samplerate: about.getUint32(0, true), latency: about.getUint32(16, true) });
@@ -71,11 +68,6 @@ export class Core {
     this.next = at + bytes;
     if (missing > 0) memory.grow(Math.ceil(missing / 65536));
     return at;
-  }
-
-  text(at) {
-    const bytes = new Uint8Array(this.core.memory.buffer, at);
-    return String.fromCharCode(...bytes.subarray(0, bytes.indexOf(0)));
   }
 
   /** The vibration of the first `frames` frames of `inputs`, at most BLOCK; valid until the next call. */

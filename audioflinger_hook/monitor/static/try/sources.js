@@ -9,7 +9,6 @@ const REFUSED = {
   },
   screen: {
     NotAllowedError: "No tab was shared. Choose one, and switch on its sound.",
-    NotFoundError: "The browser found nothing to share.",
     NotReadableError: "The system refused to share that. Choose something else.",
   },
 };

@@ -1,18 +1,17 @@
 // The page "Try it": sound in, vibration shown, felt on a chosen output, or saved as a file.
 
-import { fill, find, element, titled } from "./elements.js";
+import { element, fill, find, PROFILES, titled } from "./elements.js";
 import { canChoose, outputs, SecondOutput } from "./output.js";
 import { Panels } from "./panels.js";
 import { RATES, wholeSound } from "./sound.js";
 import { abilities, capture } from "./sources.js";
 import { followTheme } from "./theme.js";
 
-const PROFILES = { cinema: "for films and series", game: "earlier, for games", music: "bass and rhythm", speech: "the syllables of voices" };
 const SCENES = [...document.querySelectorAll("[data-scene]")], CAPTURES = [...document.querySelectorAll("[data-capture]")];
 const NO_WORKLET = "This browser plays no live vibration (it lacks AudioWorklet, or the page is not on https or localhost). Files can be made.";
 const NO_WASM = "This browser lacks WebAssembly with SIMD. Use a newer one.";
 const ONLY_SHOWN = "Without an output, the vibration is silent and only shown.";
-const RATE = RATES[1], MORE_DELAY_S = 0.02, DELAY_MAX_S = 0.9;
+const RATE = RATES[1], MORE_DELAY_S = 0.02, DELAY_MAX_S = 0.3;
 
 const player = find("player"), profile = find("profile"), output = find("output"), vibration = find("vibration");
 const panels = new Panels(), second = new SecondOutput(follow), can = abilities();
@@ -42,13 +41,11 @@ async function designOf(rate) {
 /** Open the audio context, at the first sound: a browser allows none before a click or key. */
 async function prepare() {
   if (!globalThis.AudioWorkletNode) throw new Error(NO_WORKLET);
-  preparing ??= open().finally(() => { preparing = null; });
-  await preparing;
+  await (preparing ??= open().catch((error) => { preparing = null; throw error; }));
   await context.resume();
 }
 
 async function open() {
-  if (node) return;
   context ??= new AudioContext({ latencyHint: "interactive" });
   if (!RATES.includes(context.sampleRate)) {
     context.close();
@@ -73,8 +70,8 @@ async function transform() {
     if (before) source?.disconnect(before);
     source?.connect(node);
   }
-  before?.port.close();
   before?.disconnect();
+  before?.port.postMessage({ ends: true });
   if (second.context) join();
 }
 
@@ -120,7 +117,7 @@ async function take({ target }) {
     say(`${titled(taken.label)} has ended or was unplugged. Choose a sound.`, "bad");
   });
   captured = taken;
-  await prepare();
+  await prepare().catch((error) => { endCapture(); throw error; });
   captured.source = new MediaStreamAudioSourceNode(context, { mediaStream: captured.stream });
   captured.source.connect(node);
   find("stop").hidden = false;
@@ -151,10 +148,8 @@ async function findOutputs() {
     return useOutput();
   }
   if (!(await outputs()).length) {
-    const permission = await capture("microphone", () => {}).catch((error) => {
-      throw new Error(`${error.message} Browsers name the outputs only with this permission.`);
-    });
-    permission.stop();
+    const refused = (error) => { throw new Error(`${error.message} Browsers name the outputs only with this permission.`); };
+    (await capture("microphone", () => {}).catch(refused)).stop();
   }
   const known = await list();
   say(known.length ? "Choose the output of the vibration, not your speakers." : "No second output was found. Connect one, then try again.", known.length ? "good" : "wait");
@@ -207,10 +202,7 @@ function gone() {
 }
 
 async function make() {
-  if (worker) {
-    cancel();
-    return say("Cancelled.", "wait");
-  }
+  if (worker) return cancel(say("Cancelled.", "wait"));
   const mine = worker = new Worker(new URL("worker.js", import.meta.url), { type: "module" }), name = file.name;
   forget();
   find("progress").hidden = false;
@@ -263,7 +255,7 @@ function begin() {
     document.querySelectorAll("main button, main select, main input").forEach((one) => { one.disabled = true; });
     return say(NO_WASM, "bad");
   }
-  profile.append(...Object.keys(PROFILES).map((name) => element("option", { value: name }, titled(name))));
+  profile.append(...Object.keys(PROFILES).filter((name) => name !== "paper").map((name) => element("option", { value: name }, titled(name))));
   const live = Boolean(globalThis.AudioWorkletNode);
   find("microphone").hidden = !can.microphone || !live;
   find("screen").hidden = !can.screen || !live;
@@ -299,14 +291,11 @@ function begin() {
     find("power-word").textContent = button.ariaChecked === "true" ? "Vibration is on" : "Vibration is off";
     level();
   };
-  document.ondragover = (event) => { event.preventDefault(); document.body.dataset.drop = true; };
-  document.ondragleave = () => { delete document.body.dataset.drop; };
-  document.ondrop = asked((event) => {
-    event.preventDefault();
-    delete document.body.dataset.drop;
-    return event.dataTransfer.files[0] && choose(event.dataTransfer.files[0]);
-  });
-  navigator.mediaDevices?.addEventListener("devicechange", () => second.deviceId && list());
+  for (const kind of ["dragover", "dragleave", "drop"]) {
+    document.addEventListener(kind, (event) => { event.preventDefault(); document.body.dataset.drop = kind === "dragover"; });
+  }
+  document.ondrop = asked(({ dataTransfer: { files: [dropped] } }) => dropped && choose(dropped));
+  navigator.mediaDevices?.addEventListener("devicechange", () => output.length > 1 && list());
   find("profile-meaning").textContent = PROFILES[profile.value];
   level();
   navigator.serviceWorker?.register("offline.js").catch(() => {}); // a browser may forbid it: the page works without

@@ -10,7 +10,7 @@ class Vibration extends AudioWorkletProcessor {
     this.core = new Core(wasm, design, 2);
     this.told = this.filled = 0;
     this.sent = new Float32Array(SENT_FRAMES);
-    this.port.onmessage = ({ data }) => { this.to = data.to; }; // the port of a Player, or null
+    this.port.onmessage = ({ data }) => Object.assign(this, data); // `to`: port of a Player or null; `ends`
     this.port.postMessage({ latency: this.core.latency / sampleRate });
   }
 
@@ -24,7 +24,7 @@ class Vibration extends AudioWorkletProcessor {
       this.told = 0;
       this.port.postMessage(this.core.read());
     }
-    return true;
+    return !this.ends;
   }
 
   /** Send vibration to the other output. frame: of the audio context, the first that is sent. */
