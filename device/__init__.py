@@ -23,5 +23,4 @@ def __getattr__(name: str) -> Any:
     """Import a public name at its first use, so that the package itself loads without NumPy."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    home = "device.errors" if name == "CushionError" else "device.rig"
-    return getattr(import_module(home), name)
+    return getattr(import_module("device.errors" if name == "CushionError" else "device.rig"), name)

@@ -12,8 +12,7 @@ _OF_32_BITS, _OF_64_BITS = ("28xI10xHH", "II8xI"), ("32xQ14xHH", "I4xQ16xQ")
 def refuse_cut_off(path: Path) -> None:
     """Raise ImportError for an unreadable file, and for an ELF file that lacks a part of a segment.
 
-    The system's loader does not report the missing part. Access to this part would later end the
-    process with SIGBUS.
+    The system's loader does not report the missing part; a later access ends the process (SIGBUS).
     """
     try:
         with path.open("rb") as file:

@@ -19,7 +19,6 @@ M_ARENA_MAX = -8  # of glibc's malloc.h
 
 # Address space that a process needs to load NumPy, to multiply matrices, and to load SciPy.
 NUMPY_MB, MATRICES_MB, SCIPY_MB = 120, 165, 310
-LOADS_OPENBLAS = ("scipy.linalg", "scipy.special")
 
 
 class _SciPyFinder:
@@ -27,7 +26,7 @@ class _SciPyFinder:
 
     @staticmethod
     def find_spec(name: str, path: Sequence[str] | None, *_: object) -> ModuleSpec | None:
-        if name not in LOADS_OPENBLAS:
+        if name not in ("scipy.linalg", "scipy.special"):  # they load OpenBLAS
             return None
         _refuse_under(SCIPY_MB)
         spec = PathFinder.find_spec(name, path)

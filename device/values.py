@@ -244,8 +244,7 @@ class Described:
     def refusals(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
         """Return the error of each invalid field, by name; values may have any type.
 
-        A field without a value has its default, which is accepted. Names that
-        belong to no field are not reported.
+        A field without a value has its default, which is accepted. Other names are not reported.
         """
         found: dict[str, Refusal] = {}
         accepted = {**values}

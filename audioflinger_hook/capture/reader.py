@@ -23,12 +23,7 @@ from audioflinger_hook.capture.format import (
     segment_name,
     segment_paths,
 )
-from audioflinger_hook.capture.segment import (
-    CaptureBuffer,
-    SegmentFormat,
-    SegmentReader,
-    segment_format,
-)
+from audioflinger_hook.capture.segment import CaptureBuffer, SegmentReader, segment_format
 from device.errors import UsageError
 from device.values import counted
 
@@ -134,7 +129,24 @@ class Capture:
             self._warn(f"{self.folder}: {text}")
 
     def _rebuild(self, stream: str) -> Buffers:
-        segments = _ordered_segments(self.folder, stream)
+        paths = segment_paths(self.folder, stream)
+        segments = []
+        for expected, (number, path) in enumerate(paths.items(), 1):
+            if number != expected:
+                raise UsageError(
+                    f"{self.folder} has lost {INDEX_NAME} and {segment_name(stream, expected)}: "
+                    f"what came before {path.name} is not known; replay the WAV files one by one "
+                    "with file:PATH"
+                )
+            found = segment_format(path)
+            if found is not None:
+                segments.append((path, found))
+            elif number < len(paths) or path.stat().st_size >= SAMPLES_OFFSET:
+                raise UsageError(
+                    f"{self.folder} has lost {INDEX_NAME}, and {path.name} is not as a capture "
+                    "writes it; take the file away, or replay the WAV files one by one with "
+                    "file:PATH"
+                )
         self._warn(
             f"{self.folder}: {INDEX_NAME} is missing or unreadable; stream {stream} is given in "
             f"buffers of {REBUILT_FRAMES} frames from time 0 on: sizes, times and discontinuities "
@@ -218,24 +230,3 @@ def _streams_there(folder: Path) -> tuple[str, ...]:
         return tuple(stream for stream in STREAMS if segment_paths(folder, stream))
     except OSError as error:
         raise UsageError(f"{folder} cannot be read ({error.strerror}); check permissions") from None
-
-
-def _ordered_segments(folder: Path, stream: str) -> list[tuple[Path, SegmentFormat]]:
-    """Return the stream's segments in order. UsageError: a segment is missing or damaged."""
-    paths = segment_paths(folder, stream)
-    segments = []
-    for expected, (number, path) in enumerate(paths.items(), 1):
-        if number != expected:
-            raise UsageError(
-                f"{folder} has lost {INDEX_NAME} and {segment_name(stream, expected)}: what came "
-                f"before {path.name} is not known; replay the WAV files one by one with file:PATH"
-            )
-        found = segment_format(path)
-        if found is not None:
-            segments.append((path, found))
-        elif number < len(paths) or path.stat().st_size >= SAMPLES_OFFSET:
-            raise UsageError(
-                f"{folder} has lost {INDEX_NAME}, and {path.name} is not as a capture writes it; "
-                "take the file away, or replay the WAV files one by one with file:PATH"
-            )
-    return segments

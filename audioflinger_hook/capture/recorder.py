@@ -11,9 +11,6 @@ from audioflinger_hook.capture.writer import CaptureWriter, check_frames
 from device.errors import CushionError, InternalError
 from device.units import Float32Array
 
-CAPACITY_SAMPLES = 1 << 22  # 16 MB, or 43 s of 48 kHz stereo
-CAPACITY_BUFFERS = 1 << 14
-
 
 class _Handed(NamedTuple):
     start: int
@@ -37,8 +34,8 @@ class CaptureRecorder(AbstractContextManager["CaptureRecorder"]):
         self,
         writer: CaptureWriter,
         *,
-        capacity_samples: int = CAPACITY_SAMPLES,
-        capacity_buffers: int = CAPACITY_BUFFERS,
+        capacity_samples: int = 1 << 22,  # 16 MB, or 43 s of 48 kHz stereo
+        capacity_buffers: int = 1 << 14,
     ) -> None:
         self.error: CushionError | None = None
         self._writer = writer

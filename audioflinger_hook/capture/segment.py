@@ -25,8 +25,7 @@ _FACT_FRAMES_AT = 82
 class SegmentFormat:
     """Format and length of a segment. samplerate: Hz.
 
-    frames_there: number of frames, computed from the file's size. frames: number in the header,
-    but at most `frames_there`.
+    frames_there: frames by the file's size. frames: those in the header, at most `frames_there`.
     """
 
     samplerate: int
@@ -121,8 +120,7 @@ class SegmentReader(_Descriptor):
             return None
         samples = np.empty((frames, channels), _SAMPLE)
         content = samples.reshape(-1).view(np.uint8).data
-        whole = _read_at(self._fd, content, start)
-        if not whole or (crc and f"{zlib.crc32(content):08x}" != crc):
+        if not _read_at(self._fd, content, start) or (crc and f"{zlib.crc32(content):08x}" != crc):
             return None
         return samples.astype(np.float32, copy=False)
 

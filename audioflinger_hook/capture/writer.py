@@ -98,7 +98,12 @@ class CaptureWriter(AbstractContextManager["CaptureWriter"]):
             raise InternalError(f"time_s={time_s} of a buffer is not a number of seconds")
         before, here = self._state_of(stream), self._streams[stream]
         with self._all_or_nothing(stream, before):
-            segment = self._segment_for(stream, samplerate, frames.shape[1])
+            segment, form = here.segment, (samplerate, frames.shape[1])
+            if segment is None or (segment.samplerate, segment.channels) != form:
+                here.segments += 1
+                path = self.folder / segment_name(stream, here.segments)
+                here.segment = segment = SegmentWriter(path, *form)
+                here.segment_frames = 0
             record = BufferRecord(
                 stream=stream,
                 buffer=here.buffers,
@@ -154,16 +159,6 @@ class CaptureWriter(AbstractContextManager["CaptureWriter"]):
         if stream not in self._streams:
             raise InternalError(f"the capture has no stream {stream!r}, only {self.streams}")
         return replace(self._streams[stream])
-
-    def _segment_for(self, stream: str, samplerate: int, channels: int) -> SegmentWriter:
-        here = self._streams[stream]
-        now = here.segment
-        if now is None or (now.samplerate, now.channels) != (samplerate, channels):
-            here.segments += 1
-            path = self.folder / segment_name(stream, here.segments)
-            here.segment = now = SegmentWriter(path, samplerate, channels)
-            here.segment_frames = 0
-        return now
 
     def _append_line(self, line: bytes) -> None:
         write_at(self._index_fd, line, self._index_bytes)

@@ -15,7 +15,6 @@ T = TypeVar("T")
 CLUSTER_EXTRA = "--dask needs dask.distributed; pip install 'haptic-cushion[cluster]'"
 LOCAL_CLUSTER = "local"
 CONNECT_S = "10s"
-CLOSE_S = 5.0
 
 
 class DaskCluster(Place):
@@ -87,7 +86,7 @@ class DaskCluster(Place):
             self._pool.shutdown(wait=False)
         for one in (self._client, self._cluster):
             with suppress(Exception):
-                one.close(timeout=CLOSE_S)
+                one.close(timeout=5.0)
 
     def _gone(self) -> LostError:
         return LostError(

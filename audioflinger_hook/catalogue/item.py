@@ -2,7 +2,6 @@
 
 import os
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from functools import lru_cache
@@ -31,8 +30,7 @@ ALIASES = {  # maps column names of NeMo and lhotse to the names used here
     "channel": "channels",
 }
 
-# A misspelled name of one of these columns is reported, since the typo would silently change
-# results.
+# A misspelled name of one of these columns is reported: the typo would silently change results.
 _SIMILAR = ("audio", "start_s", "duration_s", "channels", "profile", "language", "audio_filepath")
 
 
@@ -154,18 +152,6 @@ def shown(value: object) -> str:
     return repr(text if len(text) <= 80 else f"{text[:77]}...")
 
 
-def _typed(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a row's values, converted to the types of the fields where possible."""
-    found = {name: value for name, value in values.items() if value is not None}
-    channels = found.get("channels")
-    if type(channels) is int:
-        found["channels"] = (channels,)
-    elif isinstance(channels, list):
-        found["channels"] = tuple(channels)
-    seconds = [name for name in ("start_s", "duration_s") if type(found.get(name)) is int]
-    return found | {name: float(found[name]) for name in seconds}
-
-
 def values_of(row: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
     """Return a row's values, keyed by the names of fields, and messages about wrong columns."""
     values: dict[str, Any] = {}
@@ -180,7 +166,17 @@ def values_of(row: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
                 mistakes.append(f"{ours} is given twice, as {both}; leave one out")
         elif guess := _meant(name):
             mistakes.append(f"{shown(name)} is not known; did you mean {guess}?")
-    return values if mistakes else _typed(values), mistakes
+    if mistakes:
+        return values, mistakes
+    # Convert the values to the types of the fields where possible.
+    found = {name: value for name, value in values.items() if value is not None}
+    channels = found.get("channels")
+    if type(channels) is int:
+        found["channels"] = (channels,)
+    elif isinstance(channels, list):
+        found["channels"] = tuple(channels)
+    seconds = [name for name in ("start_s", "duration_s") if type(found.get(name)) is int]
+    return found | {name: float(found[name]) for name in seconds}, mistakes
 
 
 def cell_value(name: str, cell: str) -> Any:

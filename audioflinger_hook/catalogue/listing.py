@@ -55,11 +55,6 @@ def is_same(path: str, other: str) -> bool:
         return False
 
 
-def leads_to(path: list[str], pattern: list[str]) -> bool:
-    """Return whether a glob may match files in the folder at `path`."""
-    return any(matches(path, pattern[:count]) for count in range(len(pattern)))
-
-
 def matches(path: list[str], pattern: list[str]) -> bool:
     """Return whether the parts of a path match those of a glob; `**` matches any folders."""
     if not pattern:

@@ -245,8 +245,7 @@ class Manifest:
         elif self._remote:
             filesystem, inside = self._remote
             is_glob = self._sources == "glob"
-            names = filesystem.glob(inside) if is_glob else filesystem.find(inside)
-            for name in sorted(names):
+            for name in sorted(filesystem.glob(inside) if is_glob else filesystem.find(inside)):
                 audio = str(filesystem.unstrip_protocol(name))
                 if (is_glob or listing.is_sound(name)) and not audio.startswith(f"{self.out}/"):
                     yield audio
@@ -254,9 +253,11 @@ class Manifest:
             paths = listing.walk(self._root.rstrip("/"), self.out)
             pattern = self.address.split("/")
             for path in paths:
-                *folders, last = path.split("/")
-                is_wanted = listing.matches if last else listing.leads_to
-                if is_wanted([*folders, *filter(None, [last])], pattern):
+                parts = path.removesuffix("/").split("/")
+                # a folder that cannot be read counts if the glob may match files in it
+                most = [pattern[:count] for count in range(len(pattern))]
+                wanted = most if path.endswith("/") else [pattern]
+                if any(listing.matches(parts, one) for one in wanted):
                     yield path
         else:
             for path in listing.walk(self.address, self.out):

@@ -53,7 +53,17 @@ class Recipe:
         """Return a hash, 32 hexadecimal digits, of everything that determines a result's bytes."""
         film = [item.track or self.track, item.language or self.language]
         part = [item.start_s, item.duration_s, item.picked, *film]
-        mine = _to_json([self._digest_of(item), part, identity])
+        known, chosen = self._digests, (item.profile, item.channels)
+        if chosen not in known:
+            settings = self.settings_of(item)
+            named = [settings.rig, *(actuator.rig for actuator in settings.actuators)]
+            paths = [name for name in named if name is not None and name not in SHIPPED]
+            paths += [str(settings.effects_file)] if settings.effects_file else []
+            files = [sha256_of(Path(path)) for path in paths]
+            document = [self.version, asdict(self.options), asdict(settings), files]
+            text = json.dumps(document, sort_keys=True, default=str)
+            known[chosen] = hashlib.sha256(text.encode()).hexdigest()
+        mine = _to_json([known[chosen], part, identity])
         return hashlib.sha256(mine.encode()).hexdigest()[:32]
 
     def described(self) -> dict[str, Any]:
@@ -64,21 +74,5 @@ class Recipe:
             "settings": json.loads(json.dumps(asdict(self.settings), default=str)),
         }
 
-    def _digest_of(self, item: Item) -> str:
-        known, chosen = self._digests, (item.profile, item.channels)
-        if chosen not in known:
-            settings = self.settings_of(item)
-            files = [sha256_of(Path(path)) for path in _files_of(settings)]
-            document = [self.version, asdict(self.options), asdict(settings), files]
-            text = json.dumps(document, sort_keys=True, default=str)
-            known[chosen] = hashlib.sha256(text.encode()).hexdigest()
-        return known[chosen]
-
 
 _to_json = json.JSONEncoder(sort_keys=True).encode  # `json.dumps` would make an encoder each time
-
-
-def _files_of(settings: Settings) -> list[str]:
-    named = [settings.rig, *(actuator.rig for actuator in settings.actuators)]
-    files = [name for name in named if name is not None and name not in SHIPPED]
-    return [*files, *([str(settings.effects_file)] if settings.effects_file else [])]

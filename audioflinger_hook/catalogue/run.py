@@ -47,8 +47,7 @@ class Run:
         self._submit_more()
         while self._under_way:
             done, _ = wait(self._under_way, POLL_S, FIRST_COMPLETED)
-            # `slots` is called first, since it raises an error if the connection to the workers is
-            # lost.
+            # `slots` is called first: it raises an error if the connection to the workers is lost.
             self._place.slots()
             for future in done:
                 if found := self._result(future, self._under_way.pop(future)):
@@ -106,5 +105,4 @@ class Run:
             return []
         death = self._place.death()
         error = f"{item.audio}: its worker died {DEATHS_MAX} times, {death}"
-        is_tried_again = death in (NO_SERVER, ENDED)
-        return [failed_by_death(self._plain_recipe, item, error, is_tried_again)]
+        return [failed_by_death(self._plain_recipe, item, error, death in (NO_SERVER, ENDED))]

@@ -45,17 +45,13 @@ class Timing:
             try:
                 return action()
             except Exception as error:
-                if not is_transient(error):
+                passing = (StorageError, TimeoutError, ConnectionError)
+                is_known = any(isinstance(one, passing) for one in _chain(error))
+                if not (is_known or has_errno(error, *TRANSIENT)):
                     raise
             self.sleep(pause_s)
             pause_s *= 3.0
         return action()
-
-
-def is_transient(error: BaseException | None) -> bool:
-    """Return whether an error, or one of its causes, is a temporary I/O error."""
-    passing = (StorageError, TimeoutError, ConnectionError)
-    return any(isinstance(one, passing) for one in _chain(error)) or has_errno(error, *TRANSIENT)
 
 
 def has_errno(error: BaseException | None, *numbers: int) -> bool:

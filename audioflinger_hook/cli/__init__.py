@@ -56,8 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if isinstance(error, OSError) and error.errno in STDOUT_ERRORS and not error.filename:
             _discard(sys.stdout)
-            full = f"cannot write to standard output ({error.strerror})"
-            return _report(WriteError(full), debug)
+            return _report(WriteError(f"cannot write to standard output ({error.strerror})"), debug)
         return _report(unexpected(error), debug)
 
 

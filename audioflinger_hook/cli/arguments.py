@@ -33,7 +33,13 @@ class Parser(argparse.ArgumentParser):
         if self.add_options:
             add_options, self.add_options = self.add_options, None
             add_options(self)
-        given = join_lists(sys.argv[1:] if args is None else args)
+        given: list[str] = []
+        for argument in sys.argv[1:] if args is None else args:
+            # `argparse` refuses `--option -,a`, but not `--option=-,a`.
+            if argument.startswith("-,") and given and given[-1].startswith("--"):
+                given[-1] += f"={argument}"
+            else:
+                given.append(argument)
         if not self.any_order:
             return super().parse_known_args(given, namespace)
         if "--" in given:
@@ -125,17 +131,6 @@ class Parser(argparse.ArgumentParser):
         guess = nearest(str(value), known)
         allowed = f"did you mean {guess}?" if guess else f"allowed: {', '.join(known)}"
         self.error(f"{str(value)!r} is not known; {allowed}")
-
-
-def join_lists(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments, with `--option -,a` (refused by argparse) written as `--option=-,a`."""
-    joined: list[str] = []
-    for argument in arguments:
-        if argument.startswith("-,") and joined and joined[-1].startswith("--"):
-            joined[-1] += f"={argument}"
-        else:
-            joined.append(argument)
-    return joined
 
 
 def given_values(options: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:

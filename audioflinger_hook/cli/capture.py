@@ -34,8 +34,7 @@ def run(options: argparse.Namespace) -> int:
             writer.write_buffer("tap", buffer, tap.samplerate, now_s, discontinuity=gap)
             heard_s += len(buffer) / tap.samplerate
             progress(writer.frames("tap"), tap.frames_expected)
-    for warning in getattr(tap, "warnings", ()):
-        warn(warning)
+    warn(*getattr(tap, "warnings", ()))
     _print_summary(writer, heard_s, tap.samplerate, tap.channels)
     return 0
 

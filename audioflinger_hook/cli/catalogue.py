@@ -31,7 +31,6 @@ from device.values import counted
 SEE_HELP = "see `cushion catalogue --help`"
 PRINTED_MAX = 20  # largest number of printed failures, and of printed warnings
 RETRIES_MAX = 20
-RECIPE = "catalogue.json"
 
 
 @dataclass(frozen=True)
@@ -85,32 +84,34 @@ def _job(options: argparse.Namespace, manifest: str) -> _Job:
     sounds |= {"verify": options.verify, "retry_died": options.retry_died}
     recipe = Recipe(out, chosen_settings(options), wanted, **sounds)
     timing = Timing(time.perf_counter, time.sleep, options.retries)
-    return _Job(Manifest(manifest, out), recipe, timing, _shard(options.shard))
-
-
-def _shard(text: str | None) -> tuple[int, int]:
-    if text is None:
-        return 1, 1
-    found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
+    whole = Manifest(manifest, out)
+    share = "1/1" if options.shard is None else options.shard
+    found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", share)
     index, count = (int(found[1]), int(found[2])) if found else (0, 0)
     if not 1 <= index <= count:
-        raise UsageError(f"--shard={text!r} is not a share; allowed: I/N with I from 1 to N")
-    return index, count
+        raise UsageError(f"--shard={share!r} is not a share; allowed: I/N with I from 1 to N")
+    return _Job(whole, recipe, timing, (index, count))
 
 
 def _work(job: _Job, total: int, options: argparse.Namespace) -> int:
     storage = storage_of(job.recipe.out)
     storage.prepare()
     described = json.dumps(job.recipe.described(), indent=2) + "\n"
-    job.timing.repeated(lambda: storage.write(RECIPE, described.encode()))
+    job.timing.repeated(lambda: storage.write("catalogue.json", described.encode()))
     index, shards = job.shard
     name = "failed.jsonl" if shards == 1 else f"failed-{index}-of-{shards}.jsonl"
     # If the run's input is its own list of failures, an early end must keep the remaining entries.
     on_failures = is_same(job.manifest.address, f"{job.recipe.out}/{name}")
     summary = Summary()
     stopped = ""
+    workers = chosen_workers(options.workers)
+    place: Place
+    if options.dask:
+        place = DaskCluster(options.dask, workers)
+    else:
+        place = LocalWorkers(min(workers, max(1, total)), do_batch.__module__)
     with ExitStack() as stack:
-        place = stack.enter_context(_place(options, total))
+        stack.enter_context(place)
         failures = stack.enter_context(Failures())
         page = stack.enter_context(Page()) if options.report else None
         console = _Console(total, stack.enter_context(progress_bar(counted(total, "items"))))
@@ -138,13 +139,6 @@ def _work(job: _Job, total: int, options: argparse.Namespace) -> int:
         complain(f"{stopped}; finished results are kept, run the same command again to go on")
     _print(summary, f"{job.recipe.out}/{name}", options)
     return summary.exit_code
-
-
-def _place(options: argparse.Namespace, total: int) -> Place:
-    workers = chosen_workers(options.workers)
-    if options.dask:
-        return DaskCluster(options.dask, workers)
-    return LocalWorkers(min(workers, max(1, total)), do_batch.__module__)
 
 
 def _reason_to_stop(batch: list[Outcome], summary: Summary, most: int | None) -> str:

@@ -36,8 +36,7 @@ def run(options: argparse.Namespace) -> int:
         print(json.dumps([dataclasses.asdict(mistake) for mistake in mistakes], indent=2))
     elif not (mistakes or warnings):
         print(f"{path}: no mistakes")
-    for warning in warnings:
-        warn(warning)
+    warn(*warnings)
     for mistake in mistakes if not options.json else ():
         complain(f"{path}: {mistake}")
     return UsageError.exit_code if mistakes else 0

@@ -67,11 +67,16 @@ def run(options: argparse.Namespace) -> int:
     if settings.parameters.strength == "felt":
         # The demo simulates one rig, so the strength can follow the resonance of this rig.
         settings = replace(settings, parameters=replace(settings.parameters, strength="rig"))
-    _make_folder(out)
+    try:
+        out.mkdir(exist_ok=True)
+    except OSError as error:
+        what = f"the folder {out} cannot be made ({error.strerror})"
+        if isinstance(error, FileExistsError):
+            what = f"{out} is not a folder"
+        raise UsageError(f"{what}; name another with --out") from None
     scene = demo_scene()
     framework = Framework(scene.samplerate, scene.channels, settings)
-    for warning in framework.warnings:
-        warn(warning)
+    warn(*framework.warnings)
     rate, channels = framework.samplerate, framework.haptic_channels
     picture = out / "report.png"
     if picture.is_dir():
@@ -110,16 +115,6 @@ def run(options: argparse.Namespace) -> int:
     _print_table(out, played, values, drawn)
     print(f"to feel your own sound, type: {as_typed('setup')}")
     return 0
-
-
-def _make_folder(out: Path) -> None:
-    try:
-        out.mkdir(exist_ok=True)
-    except OSError as error:
-        what = f"the folder {out} cannot be made ({error.strerror})"
-        if isinstance(error, FileExistsError):
-            what = f"{out} is not a folder"
-        raise UsageError(f"{what}; name another with --out") from None
 
 
 def _play(chain: Pipeline, played: Played, *, fast: bool) -> None:
@@ -248,19 +243,16 @@ class Meter:
     def _view(self, now_s: float) -> Group:
         playing = ", ".join(label for start, end, label in self._events if start <= now_s < end)
         sound, vibration, acceleration = self._peaks
+        level_db = 20.0 * np.log10(np.abs(self._probe @ self._recent) + 1e-9)
+        height = np.clip(1.0 + level_db / 50.0, 0.0, 1.0) * (len(STEPS) - 1)
+        spectrum = "".join(STEPS[round(h)] for h in height)
         return Group(
             Text(f"{now_s:5.1f} of {self._scene.duration_s:.0f} s   {playing or '-'}", "bold"),
             _bar("sound", sound, _level(sound), "cyan"),
             _bar("vibration", vibration, _level(vibration), "yellow"),
             _bar("cushion", acceleration / 100.0, f"{acceleration:5.1f} m/s²", "magenta"),
-            self._spectrum(),
+            Text.assemble(f"{'felt at':>10} 20 Hz ", (spectrum, "yellow"), " 220 Hz"),
         )
-
-    def _spectrum(self) -> Text:
-        level_db = 20.0 * np.log10(np.abs(self._probe @ self._recent) + 1e-9)
-        height = np.clip(1.0 + level_db / 50.0, 0.0, 1.0) * (len(STEPS) - 1)
-        bars = "".join(STEPS[round(h)] for h in height)
-        return Text.assemble(f"{'felt at':>10} 20 Hz ", (bars, "yellow"), " 220 Hz")
 
 
 def _bar(label: str, amplitude: float, reading: str, colour: str) -> Text:

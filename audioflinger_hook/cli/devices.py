@@ -130,8 +130,14 @@ def _show(document: dict[str, Any]) -> None:
     if document["server"]:
         _section(document["server"], map(_sink_lines, document["sinks"]))
     _section("USB", map(_usb_lines, document["usb"]))
-    _section("sound cards", map(_card_lines, document["cards"]))
-    _section("playing", map(_application_lines, document["applications"]))
+    cards = document["cards"]
+    named = ([one["device"], one["name"] + ", in use" * bool(one["in_use"])] for one in cards)
+    _section("sound cards", named)
+    playing = []
+    for one in document["applications"]:
+        what = ", ".join(filter(None, (one["binary"], one["role"])))
+        playing.append([one["name"], f"{what or 'unknown'}, to {one['sink'] or 'nothing'}"])
+    _section("playing", playing)
 
 
 def _section(title: str, blocks: Iterable[list[str]]) -> None:
@@ -161,12 +167,3 @@ def _usb_lines(device: dict[str, Any]) -> list[str]:
         lines.append(f"volume {volume}")
     others = [*(f"sink:{name}" for name in device["sinks"]), *device["hw"]]
     return lines + [f"is also {other}" for other in others]
-
-
-def _card_lines(card: dict[str, Any]) -> list[str]:
-    return [card["device"], card["name"] + (", in use" if card["in_use"] else "")]
-
-
-def _application_lines(application: dict[str, Any]) -> list[str]:
-    what = ", ".join(filter(None, (application["binary"], application["role"])))
-    return [application["name"], f"{what or 'unknown'}, to {application['sink'] or 'nothing'}"]

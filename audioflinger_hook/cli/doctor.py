@@ -18,8 +18,6 @@ from audioflinger_hook.doctor.report import facts_text, findings_text, full_repo
 from device.atomic_file import write_bytes_atomically
 from device.stream import filter_stderr
 
-EXIT_FINDINGS = 1
-
 
 def run(options: argparse.Namespace) -> int:
     """Print findings and facts. Exit code 0: nothing is wrong; 1: there are findings."""
@@ -41,14 +39,9 @@ def run(options: argparse.Namespace) -> int:
     else:
         print(findings_text(findings, repaired), facts_text(facts), sep="\n\n")
     if options.report is not None:  # last, because this may fail
-        text = full_report(facts, findings, repaired, _person())
+        person = [str(Path("~").expanduser()), platform.node()]
+        with suppress(KeyError, OSError):  # in a container the user may have no name
+            person.append(getpass.getuser())
+        text = full_report(facts, findings, repaired, person)
         write_bytes_atomically(options.report, text.encode("utf-8", "replace"))
-    return EXIT_FINDINGS if findings else 0
-
-
-def _person() -> list[str]:
-    """Return the names of the user, of the home folder and of the machine."""
-    names = [str(Path("~").expanduser()), platform.node()]
-    with suppress(KeyError, OSError):  # in a container the user may have no name
-        names.append(getpass.getuser())
-    return names
+    return 1 if findings else 0

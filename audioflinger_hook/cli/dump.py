@@ -13,8 +13,6 @@ from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.sources import open_client, parse_tap
 from device.errors import UsageError
 
-DEFAULT_S = 1.0  # default duration of sound; a shorter sound is played whole
-
 
 def run(options: argparse.Namespace) -> int:
     """Process a sound up to the time of `--at`, as fast as possible; print the mixer's state."""
@@ -25,7 +23,7 @@ def run(options: argparse.Namespace) -> int:
     with closing(client):
         framework = Framework(client.samplerate, client.channels, settings, clock=time.thread_time)
         chain = Pipeline(client, framework, ())
-        until_s = DEFAULT_S if options.at is None else options.at
+        until_s = 1.0 if options.at is None else options.at  # a shorter sound is played whole
         while frames < until_s * framework.samplerate:
             began_s = time.thread_time()
             step = chain.step(frames / framework.samplerate)
@@ -36,7 +34,6 @@ def run(options: argparse.Namespace) -> int:
                 raise UsageError(f"{late}; allowed: 0 to {frames / framework.samplerate:.3f} s")
             cycle_times_s.append(time.thread_time() - began_s)
             frames += len(step.audio)
-    for warning in framework.warnings:
-        warn(warning)
+    warn(*framework.warnings)
     print(dump(framework.mixer, cycle_times_s), end="")
     return 0

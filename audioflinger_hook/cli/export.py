@@ -6,7 +6,7 @@ import json
 
 from audioflinger_hook.cli.render import chosen_settings
 from audioflinger_hook.cli.terminal import level_text, progress_bar, warn
-from audioflinger_hook.exports.export import ExportOptions, ExportReport, export, format_of
+from audioflinger_hook.exports.export import ExportOptions, export, format_of
 from audioflinger_hook.exports.options import LONG
 from audioflinger_hook.offline.render import refuse_same_file
 from audioflinger_hook.sources import FileTap, TapClient
@@ -29,16 +29,10 @@ def run(options: argparse.Namespace) -> int:
         warn(f"the format {wanted.format} {note}")
     with progress_bar(options.input.name) as progress:
         report = export(client, options.output, settings, wanted, progress, tap.warnings)
-    for warning in report.warnings:
-        warn(warning)
+    warn(*report.warnings)
     if options.json:
         print(json.dumps(dataclasses.asdict(report), indent=2))
-    else:
-        print(f"{options.output}: {_summary(report)}")
-    return 0
-
-
-def _summary(report: ExportReport) -> str:
+        return 0
     parts = [
         f"{report.duration_s:.2f} s of vibration as {report.format}",
         f"{counted(report.channels, 'channels')} at {report.samplerate} Hz",
@@ -50,4 +44,5 @@ def _summary(report: ExportReport) -> str:
     if report.replaced_samples:
         parts.append(f"{counted(report.replaced_samples, 'unusable samples')} set to 0")
     parts += [f"{name.replace('_', ' ')} {value:.3g}" for name, value in report.error.items()]
-    return ", ".join(parts)
+    print(f"{options.output}: {', '.join(parts)}")
+    return 0

@@ -25,8 +25,23 @@ def run(options: argparse.Namespace) -> int:
     workers = chosen_workers(options.workers)
     if options.out_dir is not None:
         return _run_several(options, workers)
-    _check_files(options.files)
-    options.input, options.output = options.files
+    files = options.files
+    if len(files) < 2:
+        missing = ", ".join(("IN", "OUT")[len(files) :])
+        raise UsageError(f"the following arguments are required: {missing}; {SEE_HELP}")
+    if len(files) > 2:
+        more = " ".join(str(file) for file in files[2:])
+        raise UsageError(
+            f"unrecognized arguments: {more}; allowed: IN OUT, or any number of IN with "
+            f"--out-dir DIR; {SEE_HELP}"
+        )
+    out = files[1]
+    if str(out) == "-":
+        raise UsageError("OUT = '-': standard output cannot take a WAV; name a file")
+    if out.suffix.lower() not in (*WAV_SUFFIXES, ""):
+        allowed = f"a name that ends in {', '.join(WAV_SUFFIXES)}, or without an ending"
+        raise UsageError(f"OUT = '{out}': the vibration is written as WAV; allowed: {allowed}")
+    options.input, options.output = files
     settings = chosen_settings(options)
     source, target, acceleration = options.input, options.output, options.acceleration
     with progress_bar(source.name) as progress:
@@ -70,24 +85,6 @@ def _entry(rendered: batch.Rendered) -> dict[str, object]:
     return {**head, **dataclasses.asdict(rendered.report)}
 
 
-def _check_files(files: list[Path]) -> None:
-    if len(files) < 2:
-        missing = ", ".join(("IN", "OUT")[len(files) :])
-        raise UsageError(f"the following arguments are required: {missing}; {SEE_HELP}")
-    if len(files) > 2:
-        more = " ".join(str(file) for file in files[2:])
-        raise UsageError(
-            f"unrecognized arguments: {more}; allowed: IN OUT, or any number of IN with "
-            f"--out-dir DIR; {SEE_HELP}"
-        )
-    out = files[1]
-    if str(out) == "-":
-        raise UsageError("OUT = '-': standard output cannot take a WAV; name a file")
-    if out.suffix.lower() not in (*WAV_SUFFIXES, ""):
-        allowed = f"a name that ends in {', '.join(WAV_SUFFIXES)}, or without an ending"
-        raise UsageError(f"OUT = '{out}': the vibration is written as WAV; allowed: {allowed}")
-
-
 def chosen_workers(wanted: int | None) -> int:
     """Return `wanted`, or the number of usable cores for None. UsageError: it is out of range."""
     if wanted is None:
@@ -113,8 +110,7 @@ def show_report(
 ) -> None:
     """Print a summary, and warnings on stderr. more: further counts to print, keyed by name."""
     more = more or {}
-    for warning in report.warnings:
-        warn(warning)
+    warn(*report.warnings)
     if options.json:
         print(json.dumps({**dataclasses.asdict(report), **more}, indent=2))
     else:

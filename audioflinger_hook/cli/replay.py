@@ -8,7 +8,7 @@ from audioflinger_hook.capture.format import INDEX_NAME, STREAMS
 from audioflinger_hook.cli.render import chosen_settings, show_report
 from audioflinger_hook.cli.terminal import progress_bar
 from audioflinger_hook.daemon.recording import settings_from
-from audioflinger_hook.offline.render import Wait, refuse_same_file, render
+from audioflinger_hook.offline.render import refuse_same_file, render
 from audioflinger_hook.pipeline.step import RealTimePace
 from audioflinger_hook.sources import CaptureTap, TapClient
 from device.drive.outputs import FADE_S
@@ -27,6 +27,11 @@ def run(options: argparse.Namespace) -> int:
     recorded = settings_from(tap.facts)
     settings = chosen_settings(options, recorded)
     client = TapClient(tap)
+    pace = RealTimePace(client.samplerate, time.monotonic())
+
+    def wait(frames: int) -> None:
+        time.sleep(pace.wait_s(frames, time.monotonic()))
+
     with progress_bar(options.folder.name) as progress:
         report = render(
             client,
@@ -34,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
             settings,
             acceleration=options.acceleration,
             progress=progress,
-            wait=_in_real_time(client.samplerate) if options.speed == "1" else None,
+            wait=wait if options.speed == "1" else None,
             warnings=tap.warnings,
             # A recorded run is replayed bit for bit, including its last sample.
             fade_s=0.0 if recorded else FADE_S,
@@ -52,8 +57,3 @@ def capture_files(folder: Path) -> list[Path]:
     """Return the files of the capture in a folder."""
     segments = [path for stream in STREAMS for path in folder.glob(f"{stream}-*.wav")]
     return [folder / INDEX_NAME, *segments]
-
-
-def _in_real_time(samplerate: int) -> Wait:
-    pace = RealTimePace(samplerate, time.monotonic())
-    return lambda frames: time.sleep(pace.wait_s(frames, time.monotonic()))

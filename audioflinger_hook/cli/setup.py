@@ -17,7 +17,7 @@ from audioflinger_hook.cli.outputs import COILS, SOUND, SURROUND, Output, list_o
 from audioflinger_hook.cli.terminal import agree, as_typed, name_some, pick, warn
 from audioflinger_hook.cli.test_tone import PCM, try_output
 from audioflinger_hook.config import file as config
-from audioflinger_hook.config.edits import actuator_text, commented_text, edited_text
+from audioflinger_hook.config.edits import actuator_text, commented_text, edited_text, value_in
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
 from audioflinger_hook.service import autostart
 from audioflinger_hook.service import install as service
@@ -81,7 +81,12 @@ def run(options: argparse.Namespace) -> int:
         print(f"\n{path} has these settings already.")
     else:
         print(f"\n{path} will {'be' if before is None else 'change'}:")
-        print(_difference(before, text), end="")
+        if before is None:
+            lines = [line for line in text.splitlines() if line and not line.startswith("#")]
+        else:
+            old, new = before.splitlines(), text.splitlines()
+            lines = [*difflib.unified_diff(old, new, lineterm="", n=1)][2:]
+        print("".join(f"  {line}\n" for line in lines), end="")
         if not options.yes and not agree("Write it?", default=before is None):
             print(f"{path} is unchanged; {NOTHING_WRITTEN}.")
             return 0
@@ -224,7 +229,7 @@ def _profile_values(profile: str, before: str | None = None) -> dict[str, Any]:
     if profile == SPEECH_FREE:
         return {"profile": LIVE_DEFAULT, SPEECH_KEY: SPEECH_SUPPRESSION_DB}
     values: dict[str, Any] = {"profile": profile} if profile else {}
-    if profile and before and _of(_document(before), SPEECH_KEY) == SPEECH_SUPPRESSION_DB:
+    if profile and before and value_in(_document(before), SPEECH_KEY) == SPEECH_SUPPRESSION_DB:
         values[SPEECH_KEY] = None
     return values
 
@@ -237,7 +242,7 @@ def _new_text(
         text = commented_text(values, channels)
     else:
         document = _document(before)
-        changes = {name: value for name, value in values.items() if _of(document, name) != value}
+        changes = {name: new for name, new in values.items() if value_in(document, name) != new}
         text = edited_text(before, changes) if changes else before
         if channels:
             text = f"{text.rstrip()}\n\n{actuator_text(channels)}"
@@ -249,21 +254,6 @@ def _new_text(
 
 def _document(text: str) -> dict[str, Any]:
     return tomllib.loads(text.removeprefix("\ufeff"))
-
-
-def _of(document: dict[str, Any], name: str) -> Any:
-    section, _, key = name.rpartition(".")
-    return (document.get(section, {}) if section else document).get(key)
-
-
-def _difference(before: str | None, text: str) -> str:
-    """Return the lines of a new file without comments, or the differences to an existing file."""
-    if before is None:
-        lines = [line for line in text.splitlines() if line and not line.startswith("#")]
-    else:
-        old, new = before.splitlines(), text.splitlines()
-        lines = [*difflib.unified_diff(old, new, lineterm="", n=1)][2:]
-    return "".join(f"  {line}\n" for line in lines)
 
 
 def _tell(path: Path, text: str, has_service: bool) -> None:

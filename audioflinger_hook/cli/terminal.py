@@ -18,12 +18,11 @@ from rich.console import Console
 from device.errors import CushionError
 from device.units import amplitude_to_db
 
-CHECK_S = 0.1  # time between two calls of `meanwhile`
 
-
-def warn(message: str) -> None:
-    """Print a one-line warning on stderr."""
-    print(f"cushion: warning: {message}", file=sys.stderr)
+def warn(*messages: str) -> None:
+    """Print one-line warnings on stderr."""
+    for message in messages:
+        print(f"cushion: warning: {message}", file=sys.stderr)
 
 
 def complain(message: str) -> None:
@@ -138,7 +137,7 @@ def _read(prompt: str, meanwhile: Callable[[], None] | None = None) -> str:
     # `input` would print the prompt through C's stderr, which audio commands silence.
     print(prompt, end="", flush=True)
     try:
-        while not select.select([sys.stdin], [], [], CHECK_S)[0]:
+        while not select.select([sys.stdin], [], [], 0.1)[0]:
             if meanwhile:
                 meanwhile()
         return input()

@@ -30,7 +30,6 @@ from device.usb.identity import coil_channels
 PCM = "cushion_output"  # the caller must create this PCM before the connection to the server
 FADE_S = 0.1  # duration of a fade-out, and of a fade-in by default
 SETTLE_S = 5.0  # longest time until a new stream runs
-CARD_RATE_HZ = 48_000
 
 
 class Tone:
@@ -155,7 +154,7 @@ def _on_card(
     coils = coil_channels(*playback.card.usb_id)
     wiring = wiring_of(actuators)
     needed = max(1, channels_needed(wiring), *(1 + coil for coil in coils))
-    pcm.target, setup = free_card(playback, CARD_RATE_HZ, needed)
+    pcm.target, setup = free_card(playback, 48_000, needed)
     channel_map = (
         ChannelMap.of(wiring, setup.channels, device=str(playback))
         if actuators
@@ -215,22 +214,18 @@ def try_output(
             tone.wait_ended()
             return "yes", None
         print("The strongest moments will be as strong as the tone.")
-        return _ask(tone)
-
-
-def _ask(tone: Tone) -> tuple[str, float | None]:
-    level_db = FIRST_DB
-    while True:
-        tone.play(db_to_amplitude(level_db), LONGEST_S, FADE_IN_S)
-        question = f"{level_db:g} dB. Felt it? yes, louder, no, stop:"
-        answer = choose(question, ANSWERS, meanwhile=tone.check)
-        if answer != "stop":
-            tone.check()
-        if answer != "louder":
-            return answer, level_db if answer == "yes" else None
-        if math.isclose(level_db, 0.0):
-            print("This is full scale: turn the amplifier up, or check the cables.")
-        level_db = min(level_db + STEP_DB, 0.0)
+        level_db = FIRST_DB
+        while True:
+            tone.play(db_to_amplitude(level_db), LONGEST_S, FADE_IN_S)
+            question = f"{level_db:g} dB. Felt it? yes, louder, no, stop:"
+            answer = choose(question, ANSWERS, meanwhile=tone.check)
+            if answer != "stop":
+                tone.check()
+            if answer != "louder":
+                return answer, level_db if answer == "yes" else None
+            if math.isclose(level_db, 0.0):
+                print("This is full scale: turn the amplifier up, or check the cables.")
+            level_db = min(level_db + STEP_DB, 0.0)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -253,8 +248,7 @@ def run(options: argparse.Namespace) -> int:
         tone.play(options.level, options.seconds)
         how = f"{options.hz:g} Hz for {options.seconds:g} s, at {options.level:.0%} of full scale"
         print(f"{tone.name}: {how}", flush=True)
-        for warning in _warnings(device.sink(connection.latest), connection.latest):
-            warn(warning)
+        warn(*_warnings(device.sink(connection.latest), connection.latest))
         tone.wait_ended()
     return 0
 

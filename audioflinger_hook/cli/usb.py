@@ -41,9 +41,15 @@ def run(options: argparse.Namespace) -> int:
         with_audio = [one for one in devices if any(each.uac for each in one.configurations)]
         documents = [_document(whole) for whole in with_audio or devices]
     else:
+        found = find_devices()
+        connected = found.devices
+        if options.device is not None:
+            connected = (find_one(UsbIdentity.parse(options.device), found),)
+        elif not connected:
+            raise found.reason or NoUsbDeviceError("no USB audio device is plugged in")
         documents = [
             _document(parse_whole(read_descriptors(one)), one, _settings(one, options.take_over))
-            for one in _devices(options.device)
+            for one in connected
         ]
     if options.json:
         single = options.device or (options.hex is not None and len(documents) == 1)
@@ -51,15 +57,6 @@ def run(options: argparse.Namespace) -> int:
     else:
         print("\n\n".join(map(_text, documents)))
     return 0
-
-
-def _devices(name: str | None) -> tuple[UsbAudioDevice, ...]:
-    found = find_devices()
-    if name is not None:
-        return (find_one(UsbIdentity.parse(name), found),)
-    if not found.devices:
-        raise found.reason or NoUsbDeviceError("no USB audio device is plugged in")
-    return found.devices
 
 
 def _read(path: Path) -> bytes:

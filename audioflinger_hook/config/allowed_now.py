@@ -6,8 +6,6 @@ from typing import Any
 
 from device.values import Choice, Described, Number
 
-HALVINGS = 40  # of the range, when a limit is searched
-
 
 def allowed_now(owner: Described, field: str) -> dict[str, Any]:
     """Return the part of the field's JSON Schema that the other values narrow; {} if none does.
@@ -35,7 +33,7 @@ def allowed_now(owner: Described, field: str) -> dict[str, Any]:
 
 
 def _limit(fits: Callable[[float], bool], inside: float, outside: float) -> float:
-    for _ in range(HALVINGS):
+    for _ in range(40):  # halvings of the range
         middle = 0.5 * (inside + outside)
         inside, outside = (middle, outside) if fits(middle) else (inside, middle)
     return inside

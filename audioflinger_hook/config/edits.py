@@ -212,7 +212,7 @@ class LiveEdits:
         except (ValueError, UsageError):  # saving will say what is wrong with the file
             return dict.fromkeys(self.values)
         edits = {n: [*v] if isinstance(v, tuple) else v for n, v in self.values.items()}
-        return {n: old for n, v in edits.items() if (old := _value(document, n)) != v}
+        return {n: old for n, v in edits.items() if (old := value_in(document, n)) != v}
 
     def save(self) -> None:
         """Write the edits to the config file. UsageError, InternalError: it cannot be changed."""
@@ -222,11 +222,12 @@ class LiveEdits:
             write_private(self._path, changed.encode())
         # The file now holds the edits, so undoing an edit must restore the file's earlier value.
         document = tomllib.loads(text)
-        before = {name: _value(document, name) for name in self.values}
+        before = {name: value_in(document, name) for name in self.values}
         self._undo = deque(({**before, **edits} for edits in self._undo), UNDO_MAX)
 
 
-def _value(document: dict[str, Any], name: str) -> Any:
+def value_in(document: dict[str, Any], name: str) -> Any:
+    """Return the value of a key in a parsed config; None if the config lacks it."""
     if match := name.partition(RULE)[2]:
         index = _rule_index(document, match.strip())
         rule = {} if index is None else document[APPLICATION][index]

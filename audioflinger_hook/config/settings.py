@@ -26,8 +26,6 @@ Channels = Literal["mono", "each"]
 
 AUTO = "auto"  # as a value of `offset_ms`: the daemon finds the delay
 OFFSET_MIN_MS, OFFSET_MAX_MS = -1e3 * MAX_DELAY_S, 1_000.0  # an offset below 0 delays the sound
-# Lowest value of the setting. A device whose lowest volume is higher uses its own lowest volume.
-DEVICE_VOLUME_MIN_DB = -96.0
 BLOCK_FRAMES = (128, 256, 512, 1024)  # fewer frames per callback reduce latency and cost CPU time
 ENGINES = ("auto", "native", "python")  # engines that compute live vibration
 
@@ -211,7 +209,7 @@ class LiveSettings(Described):
         float | None,
         Number(
             "set the device's own volume; default: keep it",
-            DEVICE_VOLUME_MIN_DB,
+            -96.0,  # a device whose lowest volume is higher uses its own
             0.0,
             "dB",
             word=OFF,

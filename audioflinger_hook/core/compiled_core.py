@@ -3,6 +3,7 @@
 import ctypes
 from ctypes import POINTER, c_char_p, c_int, c_size_t, c_uint64
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -20,12 +21,13 @@ from device.extension import refuse_cut_off
 from device.units import Float32Array, FloatArray
 
 GLIDE_NUMBERS = len(GLIDE_COLUMNS)
+LONG_FRAMES = 8_192  # blocks of files; meanwhile other threads may run
 
 _address = ctypes.c_void_p
 _Nothing = ctypes.c_char * 0
 
 # Return type and argument types of each function in core.h.
-_FUNCTIONS = {
+_FUNCTIONS: dict[str, Any] = {
     "check": (c_char_p, (_address, c_size_t, POINTER(Info))),
     "open": (_address, (_address, c_size_t, _address)),
     "reset": (None, (_address, c_int)),
@@ -58,6 +60,14 @@ def library() -> ctypes.PyDLL:
     if sizes != tuple(map(ctypes.sizeof, STRUCTURES)):
         raise NotFoundError(f"{path} is of another version; run `make run`")
     return found
+
+
+@lru_cache(maxsize=1)
+def _long_vibrate() -> Any:
+    """Return the core's function `vibrate`, which releases the GIL, so that other threads run."""
+    function = ctypes.CDLL(library()._name).core_vibrate
+    function.restype, function.argtypes = _FUNCTIONS["vibrate"]
+    return function
 
 
 class Core:
@@ -96,9 +106,9 @@ class Core:
     def vibrate(self, sound: Float32Array | FloatArray) -> FloatArray:
         """Run only the transform on sound (frames, inputs); return float64 (frames, vibrations)."""
         samples, out = self._samples(sound), np.empty((len(sound), self.info.vibrations))
-        self._library.core_vibrate(
-            self._core, samples, _address_of(out), len(sound), self._readings
-        )
+        is_long = len(sound) >= LONG_FRAMES
+        vibrate = _long_vibrate() if is_long else self._library.core_vibrate
+        vibrate(self._core, samples, _address_of(out), len(sound), self._readings)
         return out
 
     def _samples(self, sound: Float32Array | FloatArray) -> Sound:

@@ -1,6 +1,5 @@
 """The [[application]] rule that acts: that of the application that began to play last."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 from audioflinger_hook.config.applications import ApplicationRule
@@ -10,7 +9,6 @@ from device.server import AppRules, ServerSnapshot
 from device.server.app_rules import first_match
 from device.server.forwarding import sinks_heard_on
 from device.server.left_out import microphones_of
-from device.server.snapshot import Stream
 
 
 class ActingRule:
@@ -36,23 +34,20 @@ class ActingRule:
         if snapshot is not None and config.live.application_rules:
             heard = None if tapped_sink is None else sinks_heard_on(snapshot, tapped_sink)
             selected = (config.rules or AppRules()).select(snapshot, haptic_sink)
-            playing = [one for one in selected if not (one.corked or one.mute)]
-            playing = [one for one in playing if heard is None or one.device_name in heard]
-            self.rule = self._newest(snapshot, config, {one.index: one for one in playing})
+            playing = {
+                one.index: one
+                for one in selected
+                if not (one.corked or one.mute) and (heard is None or one.device_name in heard)
+            }
+            self._playing = [index for index in self._playing if index in playing]
+            self._playing += sorted(playing.keys() - set(self._playing))
+            microphones = microphones_of(snapshot)
+            rules = [(r.rule, r) for r in config.live.application_rules if r.profile or r.gain_db]
+            for index in self._playing:  # the newest stream's rule acts
+                rule: ApplicationRule | None = first_match(rules, playing[index])
+                if rule is not None and not config.left_out.why(playing[index], microphones):
+                    self.rule = rule
         return self.rule != before
-
-    def _newest(
-        self, snapshot: ServerSnapshot, config: RunConfig, playing: Mapping[int, Stream]
-    ) -> ApplicationRule | None:
-        self._playing = [index for index in self._playing if index in playing]
-        self._playing += sorted(playing.keys() - set(self._playing))
-        microphones = microphones_of(snapshot)
-        rules = [(r.rule, r) for r in config.live.application_rules if r.profile or r.gain_db]
-        for stream in (playing[index] for index in reversed(self._playing)):
-            rule: ApplicationRule | None = first_match(rules, stream)
-            if rule is not None and not config.left_out.why(stream, microphones):
-                return rule
-        return None
 
 
 def with_rule(config: RunConfig, rule: ApplicationRule | None) -> RunConfig:

@@ -65,8 +65,7 @@ class Alignment:
     ) -> None:
         """Find the offset and apply it. LostError: the connection to the server is lost.
 
-        stream_latencies_s: latencies of tap and output with the Python engine. runs: whether the
-        daemon is running, not idle.
+        stream_latencies_s: of tap and output with the Python engine. runs: the daemon is not idle.
         """
         pair = self._pair_of(source, device)
         if pair != self._pair:

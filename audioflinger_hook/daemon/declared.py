@@ -62,12 +62,23 @@ class DeclaredDelays:
         if watch is not None:
             self.close()
         if connection.latest.kind == "PipeWire":
-            found = self._of_graph(pair, watch or self._own_watch(now_s), cycle)
             forwarding_s = cycle[0] / cycle[1] if forwards else 0.0  # its streams hold one cycle
-            return found._replace(heard_s=found.heard_s + forwarding_s)
+            watch = watch or self._own_watch(now_s)
+            if watch is None:
+                return Declared(forwarding_s)
+            with watch.lock:
+                found = [watch.graph.declared_s(name, *cycle) or 0.0 for name in pair]
+            heard_s, felt_s = self._believed(pair, *found)
+            return Declared(heard_s + forwarding_s, felt_s, heard_s > 0.0)
         if now_s - self._looked_s >= LOOK_S:
-            self._looked_s = now_s
-            self._last = self._of_pulse(pair, connection.latencies_s(), forwards=forwards)
+            self._looked_s, latencies_s = now_s, connection.latencies_s()
+            self._looks.append((latencies_s.get(pair.heard, 0.0), latencies_s.get(pair.felt, 0.0)))
+            recent = list(self._looks)[-RECENT:]
+            if abs(_upper_third(recent)[0] - _upper_third(self._looks)[0]) > JUMP_S:
+                self._looks = deque(recent, LOOKS)
+            heard_s, felt_s = self._believed(pair, *_upper_third(self._looks))
+            is_known = heard_s - felt_s >= ORDINARY_S
+            self._last = Declared(heard_s, felt_s, is_known, heard_s if forwards else 0.0)
         return self._last
 
     def close(self) -> None:
@@ -84,27 +95,6 @@ class DeclaredDelays:
             with suppress(NotFoundError):  # without pw-dump, nothing is known
                 self._watch = GraphWatch(self._on_change)
         return self._watch
-
-    def _of_graph(
-        self, pair: SinkPair, watch: GraphWatch | None, cycle: tuple[int, int]
-    ) -> Declared:
-        if watch is None:
-            return Declared()
-        with watch.lock:
-            found = [watch.graph.declared_s(name, *cycle) or 0.0 for name in pair]
-        heard_s, felt_s = self._believed(pair, *found)
-        return Declared(heard_s, felt_s, heard_s > 0.0)
-
-    def _of_pulse(
-        self, pair: SinkPair, latencies_s: dict[str, float], *, forwards: bool
-    ) -> Declared:
-        self._looks.append((latencies_s.get(pair.heard, 0.0), latencies_s.get(pair.felt, 0.0)))
-        recent = list(self._looks)[-RECENT:]
-        if abs(_upper_third(recent)[0] - _upper_third(self._looks)[0]) > JUMP_S:
-            self._looks = deque(recent, LOOKS)
-        heard_s, felt_s = self._believed(pair, *_upper_third(self._looks))
-        is_known = heard_s - felt_s >= ORDINARY_S
-        return Declared(heard_s, felt_s, is_known, heard_s if forwards else 0.0)
 
     def _believed(self, pair: SinkPair, heard_s: float, felt_s: float) -> list[float]:
         """Return the delays, with 0 for a delay that cannot be true; set `warning`."""

@@ -23,7 +23,6 @@ READ_BLOCKS = 4  # largest number of blocks that one call reads from the delay l
 FADED = 1e-6  # vibration with a smaller peak counts as silent; full scale is 1
 
 FADE_S = 0.04  # duration of a fade, as in the plugin
-CAPACITY_S = 3.0  # length of the delay line, which suffices for an offset of 2 s
 
 
 @dataclass(frozen=True)
@@ -108,7 +107,7 @@ class Engine:
             self.drive.outputs,
             self.samplerate,
             samplerate,
-            capacity_s=CAPACITY_S,
+            capacity_s=3.0,  # suffices for an offset of 2 s
             capture_block=self.block_frames,
             output_block=self.block_frames,
             offset_s=offset_s,
@@ -199,27 +198,23 @@ class Engine:
         self.filled_s = now_s
         frames = len(out)
         if self._end - self._start < frames:
-            self._read_on(frames, now_s)
+            kept, line = self.read_ahead, self.delay_line
+            held = len(kept)
+            self.before_fill()
+            blocks = (line.readable - (frames - held)) // frames
+            ahead = frames * max(0, min(READ_BLOCKS - 1, blocks))
+            needed = frames + ahead
+            if len(self._read) < needed:
+                self._read = np.zeros((frames * READ_BLOCKS, kept.shape[1]), np.float32)
+            self._read[:held] = kept
+            playing_s = now_s + held / line.samplerate_out
+            read = line.read(self._read[held:needed], playing_s, ahead)
+            self._start, self._end = 0, held + read
         start = self._start
         self._start = min(start + frames, self._end)
         out[:] = self._read[start : self._start]
         if not (self.mute.audible and self.mute.position == 1.0):
             self.mute.apply(out)
-
-    def _read_on(self, frames: int, now_s: float) -> None:
-        """Read the delay line until `read_ahead` has `frames` frames; read more if available."""
-        kept, line = self.read_ahead, self.delay_line
-        held = len(kept)
-        self.before_fill()
-        blocks = (line.readable - (frames - held)) // frames
-        ahead = frames * max(0, min(READ_BLOCKS - 1, blocks))
-        needed = frames + ahead
-        if len(self._read) < needed:
-            self._read = np.zeros((frames * READ_BLOCKS, kept.shape[1]), np.float32)
-        self._read[:held] = kept
-        playing_s = now_s + held / line.samplerate_out
-        read = line.read(self._read[held:needed], playing_s, ahead)
-        self._start, self._end = 0, held + read
 
     def _drop_ahead(self) -> None:
         self._start = self._end = 0

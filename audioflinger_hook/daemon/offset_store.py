@@ -35,8 +35,31 @@ class OffsetStore:
         self._folder = folder
         self._delays_s: dict[SinkPair, float] = {}
         self.warning = ""
-        if folder is not None:
-            self._read(folder / FILE)
+        if folder is None:
+            return
+        path, delays_s = folder / FILE, {}
+        try:
+            known = json.loads(path.read_text("utf-8"))
+            if known["version"] != VERSION:
+                raise ValueError(known["version"])
+            for one in known["offsets"]:
+                pair, delay_s = SinkPair(one["heard"], one["felt"]), one["delay_s"]
+                is_number = type(delay_s) in (int, float) and abs(delay_s) <= LONGEST_S
+                if not all(isinstance(name, str) for name in pair) or not is_number:
+                    raise ValueError(one)
+                delays_s[pair] = float(delay_s)
+            self._delays_s = delays_s
+        except FileNotFoundError:
+            pass
+        except OSError as error:
+            self.warning = f"{path} cannot be read ({error.strerror}); run `cushion sync` again"
+        except (ValueError, TypeError, KeyError, RecursionError):
+            self.warning = (
+                f"{path} is damaged, or of another version; it is now {DAMAGED}; run "
+                "`cushion sync` again"
+            )
+            with suppress(OSError):
+                path.replace(path.with_name(DAMAGED))
 
     def delay_s(self, pair: SinkPair) -> float | None:
         """Return the stored delay of exactly this pair in seconds, None if there is none."""
@@ -56,28 +79,3 @@ class OffsetStore:
         text = json.dumps({"version": VERSION, "offsets": kept}, indent=1)
         write_private(self._folder / FILE, f"{text}\n".encode())
         self.warning = ""
-
-    def _read(self, path: Path) -> None:
-        delays_s = {}
-        try:
-            known = json.loads(path.read_text("utf-8"))
-            if known["version"] != VERSION:
-                raise ValueError(known["version"])
-            for one in known["offsets"]:
-                pair, delay_s = SinkPair(one["heard"], one["felt"]), one["delay_s"]
-                is_number = type(delay_s) in (int, float) and abs(delay_s) <= LONGEST_S
-                if not all(isinstance(name, str) for name in pair) or not is_number:
-                    raise ValueError(one)
-                delays_s[pair] = float(delay_s)
-            self._delays_s = delays_s
-        except FileNotFoundError:
-            return
-        except OSError as error:
-            self.warning = f"{path} cannot be read ({error.strerror}); run `cushion sync` again"
-        except (ValueError, TypeError, KeyError, RecursionError):
-            self.warning = (
-                f"{path} is damaged, or of another version; it is now {DAMAGED}; run "
-                "`cushion sync` again"
-            )
-            with suppress(OSError):
-                path.replace(path.with_name(DAMAGED))

@@ -3,7 +3,6 @@
 from functools import cache
 from itertools import chain
 
-from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.native.layout import Shown
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.service.state import DaemonState
@@ -26,8 +25,8 @@ def frame_of(
     state = supervisor.states.state
     plays = state is DaemonState.RUNNING
     native, engine = supervisor.engines.native.engine, supervisor.engines.python
-    chain = native.chain if native is not None and native.audible else None
-    page = chain.page if chain is not None else None
+    playing = native.chain if native is not None and native.audible else None
+    page = playing.page if playing is not None else None
     if page is None and in_memory and engine is not None and engine.live is not None:
         engine.live.watch()
         page = engine.live.page
@@ -39,7 +38,11 @@ def frame_of(
     if page is not None and plays:
         shown = page.reader.shown()
     elif engine is not None and plays:
-        shown = _shown_of(engine)
+        channels = engine.sound.meter.channel_readings()
+        actuators = [meter.reading() for meter in engine.driven_meters]
+        partials = engine.framework.principal
+        numbers = (*chain(*channels), *chain(*actuators), *chain(*partials))
+        shown = (len(channels), len(actuators), len(partials)), numbers
     return _form(*shown[0]) % (state.value.encode(), level, *shown[1], missed), not plays
 
 
@@ -53,11 +56,3 @@ def _form(channels: int, actuators: int, partials: int) -> bytes:
         f'"partials": [{", ".join([triples] * partials)}], '
         '"missed": %d}}\n'
     ).encode()
-
-
-def _shown_of(engine: Engine) -> Shown:
-    channels = engine.sound.meter.channel_readings()
-    actuators = [meter.reading() for meter in engine.driven_meters]
-    partials = engine.framework.principal
-    counts = len(channels), len(actuators), len(partials)
-    return counts, (*chain(*channels), *chain(*actuators), *chain(*partials))

@@ -68,21 +68,6 @@ def delay_between(heard: Recording, felt: Recording) -> Delay:
     return Delay(round(float(np.median(found)), 2), len(found), was_played=True)
 
 
-class _Bursts:
-    """The sound of all bursts."""
-
-    def __init__(self) -> None:
-        time_s = np.arange(round(LASTS_S * RATE_HZ)) / RATE_HZ
-        is_on = [(time_s >= start_s) & (time_s < start_s + BURST_S) for start_s in BURSTS_AT_S]
-        burst = LEVEL * np.sin(2.0 * np.pi * BURST_HZ * time_s)
-        self._left = np.where(np.any(is_on, 0), burst, 0.0).astype(np.float32)
-
-    def fill(self, out: Float32Array, now_s: float) -> None:
-        """Write the next frames. Only the output's thread calls it."""
-        part, self._left = np.split(self._left, [len(out)])
-        out[: part.size] = part[:, None]
-
-
 def measure(facts: Facts) -> Delay:
     """Play bursts to the output of the sound for LASTS_S, and measure the vibration's delay.
 
@@ -96,6 +81,16 @@ def measure(facts: Facts) -> Delay:
     if facts.server and facts.server.playing_to(heard.name):
         return Delay(reason="not measured: a program plays now; pause it")
     recordings = Recording(), Recording()
+    time_s = np.arange(round(LASTS_S * RATE_HZ)) / RATE_HZ
+    is_on = [(time_s >= start_s) & (time_s < start_s + BURST_S) for start_s in BURSTS_AT_S]
+    burst = LEVEL * np.sin(2.0 * np.pi * BURST_HZ * time_s)
+    left = np.where(np.any(is_on, 0), burst, 0.0).astype(np.float32)
+
+    def fill(out: Float32Array, now_s: float) -> None:  # only the output's thread calls it
+        nonlocal left
+        part, left = np.split(left, [len(out)])
+        out[: part.size] = part[:, None]
+
     try:
         with ExitStack() as stack:
             config = stack.enter_context(closing(PcmConfig("heard", "felt", "bursts", role=ROLE)))
@@ -104,7 +99,7 @@ def measure(facts: Facts) -> Delay:
                 pcm.target = ServerDevice(f"{sink.name}.monitor")
                 stack.enter_context(closing(CaptureStream(pcm, RATE_HZ, 1, recording.add)))
             output.target = ServerDevice(heard.name)
-            bursts = PlaybackStream(output, RATE_HZ, 2, _Bursts().fill)
+            bursts = PlaybackStream(output, RATE_HZ, 2, fill)
             stack.enter_context(closing(bursts))
             bursts.audible = True
             threading.Event().wait(STARTS_WITHIN_S + LASTS_S)

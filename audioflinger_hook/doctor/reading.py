@@ -43,7 +43,6 @@ from device.stream.pcms import FALLBACK_SINK, missing_plugin
 ANSWER_S = 3.0  # longest time in s for one program, server or daemon to answer
 _printed = partial(printed, limit_s=ANSWER_S)
 
-ERRORS_MAX = 5  # number of messages from the service's journal
 _JOURNAL = f"journalctl --user -u {SERVICE} -q -n 500 -o short-iso --no-hostname".split()
 _ERROR = re.compile(rf"^(\S+) .*?\]: (cushion: (?:error|warning): .+|{SERVICE}: Failed .+)", re.M)
 
@@ -150,7 +149,7 @@ def _with_daemon(facts: Facts, clock: Callable[[], float], environ: Mapping[str,
     # `systemctl` prints the state also if it returns another code than 0.
     service = _printed("sh", "-c", f"systemctl --user is-active {SERVICE} || true").strip()
     journal = _printed(*_JOURNAL) if service else ""  # its lines have no priorities, only texts
-    errors = tuple(map(" ".join, _ERROR.findall(journal)[-ERRORS_MAX:]))
+    errors = tuple(map(" ".join, _ERROR.findall(journal)[-5:]))
     known = replace(facts, status=status, daemon_error=error, service=service, errors=errors)
     return replace(known, holder=holder, is_locked=is_locked)
 
@@ -219,7 +218,11 @@ def _players(server: ServerSnapshot, connected: set[int]) -> tuple[str, ...]:
 
     An idle daemon may have no stream, so the connected processes of `cushion run` count, too.
     """
-    processes = {process for process in connected if _runs(process)}
+    processes = set[int]()
+    for process in connected:
+        with suppress(OSError):
+            if b"run" in Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0"):
+                processes.add(process)
     has_plugin = False
     for stream in server.sink_inputs:
         node = re.fullmatch(OURS, stream.properties.get("node.name", ""))
@@ -231,10 +234,3 @@ def _players(server: ServerSnapshot, connected: set[int]) -> tuple[str, ...]:
             processes.add(stream.process_id)
     found = [f"process {process}" for process in sorted(processes)]
     return (*found, *["the plugin in PipeWire's filter-chain"] * has_plugin)
-
-
-def _runs(process: int) -> bool:
-    """Whether a process is `cushion run`."""
-    with suppress(OSError):
-        return b"run" in Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")
-    return False

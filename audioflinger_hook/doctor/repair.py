@@ -15,8 +15,6 @@ from device.errors import CushionError
 from device.server import PulseConnection
 from device.server.identity import find_sink
 
-ROUNDING_DB = 0.01  # volumes of a server that differ by less are the same
-
 
 def repair(name: str, facts: Facts, environ: Mapping[str, str]) -> str:
     """Repair the finding `name`; return the result in words. Only the main thread may call it."""
@@ -33,8 +31,7 @@ def unmute(facts: Facts, environ: Mapping[str, str]) -> str:
     might feel a sudden strong vibration. If the volume then is higher than before, mute it again.
     """
     with closing(PulseConnection()) as connection:
-        now = replace(facts, server=connection.latest)
-        if (before := now.felt) is None:
+        if (before := replace(facts, server=connection.latest).felt) is None:
             return "The output of the vibration is gone."
         muted = f"{before.name!r} stays muted, because"
         if connection.latest.playing_to(before.name):
@@ -43,7 +40,7 @@ def unmute(facts: Facts, environ: Mapping[str, str]) -> str:
             return f"{muted} its volume is above 100 %; lower it first."
         connection.set_sink_mute(before.name, False)
         after = find_sink(connection.snapshot(), before.name)
-        if after.volume_db > before.volume_db + ROUNDING_DB:
+        if after.volume_db > before.volume_db + 0.01:  # less is the server's rounding
             connection.set_sink_mute(before.name, True)
             return f"{muted} unmuting raised its volume."
     return f"{before.name!r} was unmuted; its volume is still {before.volume_db:.1f} dB."

@@ -18,7 +18,6 @@ _QUOTED = re.compile(r"(?<!\w)(['\"]).*?\1(?!\w)")  # "PipeWire's" has an apostr
 # A path may contain spaces, so everything up to the next clause counts as its name.
 _PATH = re.compile(r"(?<![\w.~/])(?:(?:app|file|capture|wav):(?=\S)|[~.]{0,2}/)[^;:,)'\"]*")
 _PLAIN = re.compile(r"[-+.\w]{0,2}|[-+.\deE_]+|true|false")  # values that are no names
-_NAMED = ("app", "file", "capture", "wav")  # kinds of taps and devices with a private name
 _OWN_WORDS = str(TEXTS)  # a name that these texts contain, such as "PipeWire", tells nothing
 HIDDEN = "(hidden)"
 
@@ -64,7 +63,7 @@ def _private_words(facts: Facts) -> Iterator[str]:
     used = [status.tap.address, status.device.address] if status else []
     for address in (*facts.live.tap, facts.live.device or "", *used):
         kind, _, name = address.partition(":")
-        if kind in _NAMED and name:
+        if kind in ("app", "file", "capture", "wav") and name:
             yield name
     names = [one.name for one in status.applications] if status else []
     for one in server.sink_inputs if server else ():
@@ -105,8 +104,7 @@ def rows(facts: Facts) -> Iterator[tuple[str, str]]:
     chosen = f"tap {facts.live.tap[0]}, device {facts.live.device or 'none'}"
     yield "config", facts.config_error or chosen
     for folder in facts.folders:
-        free = f"{folder.free_bytes / 2**20:.1f} MB free"
-        yield f"{folder.what} folder", folder.problem or free
+        yield f"{folder.what} folder", folder.problem or f"{folder.free_bytes / 2**20:.1f} MB free"
     built = "built" if facts.is_built else "missing"
     yield "plugin", f"{built}; installed copy: {facts.installed or 'none'}"
     if (status := facts.status) is None:

@@ -111,21 +111,18 @@ class DrivenRig:
         self._rest_s = passed_s + (-UNPLAYED_S if has_run else self._rest_s)
         if frames != self._day_began_at:
             self._day_began_at = -1
-        if self._rest_s >= REST_STEP_S:
-            self.restore(self._cooled(awake_s if has_run else 0.0), frames + 1)
+        if self._rest_s >= REST_STEP_S:  # the states after that rest, and then any vibration
+            bounds, cooled, played_s = self.design.bounds(), [], awake_s if has_run else 0.0
+            for controls, now in zip(self._controls, self.safety_states(), strict=True):
+                safety = controls.safety
+                kept = replace(now, coil_c=safety.coil_c, magnet_c=safety.magnet_c)
+                state = bounds.after_unrecorded(bounds.after_rest(kept, self._rest_s), played_s)
+                cooled.append(replace(state, dose=now.dose))
+            self.restore(cooled, frames + 1)
             self._rest_s = 0.0
         elif has_run:
             self.restore(self.safety_states())
         self._kept_frames, self._now_s, self._slept_s = frames, now_s, slept_s
-
-    def _cooled(self, played_s: float) -> list[SafetyState]:
-        """Return the states after a rest since the last `keep`, and then any vibration."""
-        bounds, cooled = self.design.bounds(), []
-        for controls, now in zip(self._controls, self.safety_states(), strict=True):
-            kept = replace(now, coil_c=controls.safety.coil_c, magnet_c=controls.safety.magnet_c)
-            state = bounds.after_unrecorded(bounds.after_rest(kept, self._rest_s), played_s)
-            cooled.append(replace(state, dose=now.dose))
-        return cooled
 
     def begin_day(self) -> None:
         """Let the core reset the day's dose of all actuators before the next block."""
@@ -238,8 +235,7 @@ class Drive:
 
         InternalError: the number of actuators differs, or a source is not in `sources`.
         """
-        named = len(self._settings)
-        if len(settings) != named or not {*sources_of(settings)} <= {*self.sources}:
+        if len(settings) != len(self._settings) or not {*sources_of(settings)} <= {*self.sources}:
             raise InternalError("the number of actuators, or their sources, cannot change")
         self._settings = tuple(settings)
 

@@ -46,8 +46,7 @@ class EffectChains(EffectsPort):
     def add(self, engine: EffectEngine, session: int) -> EffectModule:
         """Add a disabled effect to a session's chain. The effect's flags determine its place.
         session: a player's session, 1 or higher, or `OUTPUT_MIX`, `OUTPUT_STAGE` or `DEVICE`.
-        UsageError: the descriptor or the session is invalid, or the session's chain cannot contain
-            the effect.
+        UsageError: the descriptor or session is invalid, or the chain cannot contain the effect.
         """
         try:
             descriptor: object = engine.descriptor

@@ -25,7 +25,6 @@ WITH_A_WORD = (  # one unsigned integer of 32 bits
 )
 
 WORD_MAX = 2**32 - 1
-FRAMES_MAX = 2**20  # largest allowed buffer in frames, 22 s at 48 kHz
 
 
 class CommandCheck:
@@ -96,6 +95,6 @@ def is_config(config: object) -> bool:
         (config.samplerate, 1, WORD_MAX),
         (config.channels, 1, CHANNELS_MAX),
         (config.haptic_channels, 0, CHANNELS_MAX),
-        (config.frames, 1, FRAMES_MAX),
+        (config.frames, 1, 2**20),  # 22 s at 48 kHz
     )
     return all(type(number) is int and low <= number <= high for number, low, high in ranges)

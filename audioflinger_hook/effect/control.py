@@ -21,8 +21,6 @@ from audioflinger_hook.effect.interface import (
 )
 
 TAIL_MAX_S = 10.0  # longest time in s for which a disabled effect outputs its decaying tail
-REASON_MAX = 200  # longest message of an engine in characters; longer messages are cut
-STATUSES = (OK, EINVAL, ENODATA, ENOSYS)
 
 # These commands do not change the sound, so their failure causes no bypass.
 READING = (Command.GET_PARAM, Command.GET_CONFIG, Command.DUMP)
@@ -272,13 +270,13 @@ def config_text(config: EffectConfig) -> str:
 
 def is_status(answer: object) -> bool:
     """Return whether an engine's answer is a valid status code."""
-    return type(answer) is int and answer in STATUSES
+    return type(answer) is int and answer in (OK, EINVAL, ENODATA, ENOSYS)
 
 
 def error_text(error: BaseException) -> str:
     """Return type and message of an exception on one line; never raises."""
     try:
-        words = " ".join(str(error).split())[:REASON_MAX]
+        words = " ".join(str(error).split())[:200]
     except BaseException:
         words = ""
     return f"{type(error).__name__}: {words}".removesuffix(": ")

@@ -132,18 +132,10 @@ class Vibration:
                 column *= level + (goal - level) * (counted / frames)
             elif goal != 1.0:
                 column *= goal
-            if self.clip:
-                self._clipped += _cut_to_full_scale(column)
+            if self.clip and not peak(column) <= 1.0:
+                self._clipped += int(np.count_nonzero(np.abs(column) > 1.0))
+                np.clip(column, -1.0, 1.0, out=column)
             out[:, haptic_channel] = column
-
-
-def _cut_to_full_scale(samples: FloatArray) -> int:
-    """Clip samples to +-1 in place and return the number of clipped samples."""
-    if peak(samples) <= 1.0:
-        return 0
-    beyond = int(np.count_nonzero(np.abs(samples) > 1.0))
-    np.clip(samples, -1.0, 1.0, out=samples)
-    return beyond
 
 
 class HapticEffect:
@@ -236,9 +228,19 @@ class HapticEffect:
                 self._enabled = False
                 return OK, None
             case Command.DUMP:
-                return OK, self._description()
+                if vibration is None:
+                    return OK, "no stream yet"
+                return OK, (
+                    f"{'enabled' if self._enabled else 'disabled'}, level {vibration.gain:.3g}, "
+                    f"latency {vibration.latency_frames} frames, "
+                    f"limited {vibration.limited_samples}, "
+                    f"replaced {vibration.replaced_samples} samples"
+                )
             case _ if code == DRAIN:
-                return self._drain()
+                if vibration is None or self._config is None:
+                    return ENODATA, None
+                owed = vibration.drain(self._config.haptic_channels)
+                return OK, owed if self._enabled else np.zeros_like(owed)
             case _ if code == PRINCIPAL:
                 return OK, vibration.transform.principal if vibration and self._enabled else ()
             case _ if code == GLIDES:
@@ -288,22 +290,6 @@ class HapticEffect:
             elif transform is not None:
                 self._vibration.restart(transform)
         return OK
-
-    def _drain(self) -> tuple[int, object]:
-        if self._vibration is None or self._config is None:
-            return ENODATA, None
-        owed = self._vibration.drain(self._config.haptic_channels)
-        return OK, owed if self._enabled else np.zeros_like(owed)
-
-    def _description(self) -> str:
-        vibration = self._vibration
-        if vibration is None:
-            return "no stream yet"
-        return (
-            f"{'enabled' if self._enabled else 'disabled'}, level {vibration.gain:.3g}, "
-            f"latency {vibration.latency_frames} frames, limited {vibration.limited_samples}, "
-            f"replaced {vibration.replaced_samples} samples"
-        )
 
 
 CUSHION = EffectLibrary("cushion", ((HAPTIC_CUSHION, HapticEffect),))

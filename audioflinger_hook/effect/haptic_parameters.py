@@ -31,8 +31,7 @@ def _parameter(name: str, described: Description, default: Value, meaning: str =
         low, high, unit = described.low, described.high, described.unit
         return Parameter(name, type(default), default, low, high, unit=unit, meaning=meaning)
     assert isinstance(described, Choice)
-    words = tuple(map(str, described.words))
-    return Parameter(name, str, default, choices=words, meaning=meaning)
+    return Parameter(name, str, default, choices=tuple(map(str, described.words)), meaning=meaning)
 
 
 def _switch(name: str, default: bool, meaning: str) -> Parameter:

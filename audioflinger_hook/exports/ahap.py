@@ -33,8 +33,17 @@ def compose(curve: VibrationCurve, duration_s: float, band_hz: Band | None) -> C
     envelope = envelope_of(curve, length_s, LIMITS)
     hz = to_device_hz(envelope.hz, band_hz)
     sharpness = sharpness_of(hz)
+    edges = [*np.arange(0.0, length_s, CONTINUOUS_MAX_S).tolist(), length_s]
+    if len(edges) > 2 and edges[-1] - edges[-2] < SHORTEST_S:
+        edges.pop()
+    continuous = [
+        {"Event": {"Time": rounded(first), "EventType": "HapticContinuous",
+                   "EventDuration": rounded(min(CONTINUOUS_MAX_S, end - first)),
+                   "EventParameters": _parameters(1.0, 0.0)}}
+        for first, end in pairwise(edges)
+    ]  # fmt: skip
     pattern = [
-        *_continuous(length_s),
+        *continuous,
         *_curves("HapticIntensityControl", envelope.time_s, envelope.level),
         *_curves("HapticSharpnessControl", envelope.time_s, sharpness),
         *_transients(envelope, sharpness, band_hz),
@@ -56,18 +65,6 @@ def compose(curve: VibrationCurve, duration_s: float, band_hz: Band | None) -> C
 def sharpness_of(hz: FloatArray) -> FloatArray:
     """Return the sharpness, 0 to 1, that is written for frequencies in Hz."""
     return share_of(hz, SHARPNESS_LOW_HZ, SHARPNESS_HIGH_HZ)
-
-
-def _continuous(duration_s: float) -> list[dict[str, Any]]:
-    edges = [*np.arange(0.0, duration_s, CONTINUOUS_MAX_S).tolist(), duration_s]
-    if len(edges) > 2 and edges[-1] - edges[-2] < SHORTEST_S:
-        edges.pop()
-    return [
-        {"Event": {"Time": rounded(first), "EventType": "HapticContinuous",
-                   "EventDuration": rounded(min(CONTINUOUS_MAX_S, end - first)),
-                   "EventParameters": _parameters(1.0, 0.0)}}
-        for first, end in pairwise(edges)
-    ]  # fmt: skip
 
 
 def _curves(name: str, time_s: FloatArray, values: FloatArray) -> list[dict[str, Any]]:

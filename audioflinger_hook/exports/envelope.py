@@ -218,9 +218,16 @@ def envelope_error(curve: VibrationCurve, amplitude: FloatArray) -> dict[str, fl
 
 
 def smoothed(curve: VibrationCurve) -> FloatArray:
-    """Return the curve's amplitude, smoothed. The smoothing does not extend across onsets."""
-    parts = [curve.amplitude[first:end] for first, end in pairwise(_edges(curve))]
-    return np.concatenate([_smoothed(part.astype(np.float64), curve.rate_hz) for part in parts])
+    """Return the amplitude's moving r.m.s. with a Hann window, shorter near onsets and ends."""
+    half = max(1, round(0.5 * SMOOTHED_S * curve.rate_hz))
+    parts = []
+    for first, end in pairwise(_edges(curve)):
+        square = curve.amplitude[first:end].astype(np.float64) ** 2
+        place = np.arange(square.size)
+        share = np.minimum(1.0, np.minimum(place, place[::-1]) / half)
+        whole, short = _mean(square, half), _mean(square, max(1, half // 3))
+        parts.append(np.sqrt(share * whole + (1.0 - share) * short))
+    return np.concatenate(parts)
 
 
 def _edges(curve: VibrationCurve) -> list[int]:
@@ -255,16 +262,6 @@ def _errors(
         off_hz = np.interp(times, time_s, hz) - curve.hz
         found["frequency_error_hz"] = float(np.sqrt((power * off_hz**2).sum() / power.sum()))
     return found
-
-
-def _smoothed(amplitude: FloatArray, rate_hz: float) -> FloatArray:
-    """Return the moving r.m.s. with a Hann window, which is shorter near both ends."""
-    half = max(1, round(0.5 * SMOOTHED_S * rate_hz))
-    square = amplitude**2
-    place = np.arange(square.size)
-    share = np.minimum(1.0, np.minimum(place, place[::-1]) / half)
-    whole, short = _mean(square, half), _mean(square, max(1, half // 3))
-    return np.sqrt(share * whole + (1.0 - share) * short)
 
 
 def _mean(square: FloatArray, half: int) -> FloatArray:

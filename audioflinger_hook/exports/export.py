@@ -28,6 +28,7 @@ from audioflinger_hook.exports.parametric import (
     refuse_settings,
 )
 from audioflinger_hook.exports.sound_output import (
+    BackgroundOutput,
     LeakMeter,
     SoundFileOutput,
     Watch,
@@ -74,10 +75,11 @@ def export(
     name = options.format
     file: VibrationOutput
     meter: LeakMeter
+    background: BackgroundOutput | None
     rate: int  # of the file
 
     def open_file(path: Path, samplerate: int, channels: int) -> VibrationOutput:
-        nonlocal file, meter, rate
+        nonlocal file, meter, background, rate
         check_channel_count(name, channels)
         rate = options.output_rate_hz or held_rate_hz(name, samplerate)
         if name in WRITERS:
@@ -89,12 +91,14 @@ def export(
         else:
             file = WavOutput(path, rate, channels)
         meter = LeakMeter(resampled(file, samplerate), watch)
-        return meter
+        background = BackgroundOutput(meter) if name in ("flac", "ogg-haptic") else None
+        return background or meter
 
     def observe(framework: Framework) -> Callable[[Step], None] | None:
         if isinstance(file, OggHapticOutput):
-            hear = file.hear
-            return lambda step: hear(step.audio)
+            assert background
+            run, hear = background.run, file.hear
+            return lambda step: run(hear, step.audio)
         return file.observe(framework) if isinstance(file, DescribedOutput) else None
 
     with closing(client):

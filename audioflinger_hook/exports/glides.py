@@ -129,9 +129,8 @@ class CurveReader:
 
     def __init__(self, design: LiveDesign, gain: float) -> None:
         self._design, self._gain = design, gain
-        # Columns are samples at the oscillators' low rate, from step `_next` on. The rows are the
-        # analytic signal, the partials' total power, and the sum of each partial's power times
-        # its frequency.
+        # Columns are samples at the oscillators' low rate, from step `_next` on. Rows: analytic
+        # signal, total power of the partials, and sum of each partial's power times its frequency.
         self._sums = np.zeros((3, 0), np.complex128)
         self._next = 0
         self._state = at_rest(design)

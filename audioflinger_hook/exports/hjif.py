@@ -26,8 +26,6 @@ PHASE_MAX = 6.28318  # largest phase in radians that the format allows
 
 BODY_PART_UNSPECIFIED = 0
 AVATAR, DEVICE = 1, 1  # identifiers of both must be positive
-VERSION = "2023"
-DATE = "2024-01-01T00:00:00+00:00"  # constant, so that equal sounds give equal files
 NO_EFFECTS = b'"effects":[]'
 _Effect = tuple[int, float, int, bytes]  # first tick, phase, last tick, JSON
 
@@ -108,10 +106,10 @@ class HjifWriter(TrackWriter):
             "effect_library": [],
         }
         return {
-            "version": VERSION,
+            "version": "2023",
             "profile": "Main",
             "level": 1 if most <= LEVEL_1_BANDS else 2,
-            "date": DATE,
+            "date": "2024-01-01T00:00:00+00:00",  # constant, so that equal sounds give equal files
             "description": (
                 f"Haptic Cushion, {duration_s:.3f} s; a sine's phase is in radians; "
                 f"{band_text(self._band_hz)}"

@@ -18,7 +18,6 @@ from device.errors import InternalError, UsageError
 from device.units import Float32Array, FloatArray
 
 AUDIO_CHANNELS_MAX = 8
-COMPRESSION_LEVEL = 0.1  # for libsndfile, 0 to 1; a low level distorts the vibration little
 SERIAL = 0x48435553  # serial number of all streams, so that equal sounds give equal files
 HEADERS = 3
 _BITS_REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
@@ -53,7 +52,7 @@ class OggHapticOutput(WrappedOutput):
             "OGG",
             "VORBIS",
             target=_HapticPages(path, haptic_channels),
-            level=COMPRESSION_LEVEL,
+            level=0.1,  # 0 to 1; a low level distorts the vibration little
         )
         super().__init__(resampled(self._file, samplerate))
         self.channels = haptic_channels
@@ -137,10 +136,8 @@ class _HapticPages(LibsndfileTarget):
                 self._open = b""
         if len(self._packets) == 1:
             self._write(flags, position, lacing, body)
-        if len(self._packets) == HEADERS:
-            self._write_headers()
-
-    def _write_headers(self) -> None:
+        if len(self._packets) < HEADERS:
+            return
         comment, setup = with_comment(self._packets[1], self._comment), self._packets[2]
         lacing = b"".join(
             b"\xff" * (len(packet) // 255) + bytes([len(packet) % 255])
@@ -152,8 +149,7 @@ class _HapticPages(LibsndfileTarget):
             part, lacing = lacing[:255], lacing[255:]
             length = sum(part)
             # If no packet ends on a page, the page's position is -1.
-            position = 0 if min(part) < 255 else -1
-            self._write(continued, position, part, body[:length])
+            self._write(continued, 0 if min(part) < 255 else -1, part, body[:length])
             continued, body = int(part[-1] == 255), body[length:]
 
     def _write(self, flags: int, position: int, lacing: bytes, body: bytes) -> None:

@@ -102,10 +102,9 @@ class ExportOptions:
                     f"{FORMATS[self.format].rate_max_hz} Hz{steps * (self.format == 'flac')}; "
                     "1000 Hz holds all of the vibration"
                 )
-        if self.device_band_hz is not None:
-            self._check_band(*self.device_band_hz)
-
-    def _check_band(self, low_hz: float, high_hz: float) -> None:
+        if self.device_band_hz is None:
+            return
+        low_hz, high_hz = self.device_band_hz
         given = f"device_band_hz={low_hz:g}:{high_hz:g}"
         if not FORMATS[self.format].parametric:
             raise UsageError(

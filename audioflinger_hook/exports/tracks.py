@@ -68,8 +68,7 @@ class PartialTrack:
         length = np.diff(self.time_s)[place]
         since = time_s - self.time_s[place]
         slope = np.diff(self.hz)[place] / length
-        # Linear frequency does not reproduce the phase exactly; the difference is spread over the
-        # interval.
+        # Linear frequency does not give the exact phase: spread the difference over the interval.
         missed = np.diff(self.turns)[place] - length * (self.hz[place] + 0.5 * slope * length)
         turns: FloatArray = self.turns[place] + since * (
             self.hz[place] + 0.5 * slope * since + missed / length

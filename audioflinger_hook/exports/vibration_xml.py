@@ -42,8 +42,16 @@ def compose(curve: VibrationCurve, duration_s: float, band_hz: Band | None) -> C
         levels = np.array([0.0, *(level for _, level, _ in points)])
         error = envelope_error(curve, np.interp(curve.times_s, ends_s, levels))
         if error.get("envelope_error_db", -120.0) <= FOLLOWS_DB:
+            hz = to_device_hz(np.array([envelope.hz[0], *(one[2] for one in points)]), band_hz)
+            lines = [
+                f'    <control-point amplitude="{level:.4f}" frequencyHz="{at_hz:.2f}" '
+                f'durationMs="{duration}"/>'
+                for (duration, level, _), at_hz in zip(points, hz[1:].tolist(), strict=True)
+            ]
+            head = f'  <waveform-envelope-effect initialFrequencyHz="{hz[0]:.2f}">'
+            body = [head, *lines, "  </waveform-envelope-effect>"]
             composed = Composed({**error, "points": float(len(points))})
-            return _envelope_effect(points, envelope, band_hz), composed
+            return _document(body, band_text(band_hz)), composed
     return _waveform_effect(curve, length_s, band_hz)
 
 
@@ -79,19 +87,6 @@ def _points(envelope: Envelope) -> list[tuple[int, float, float]]:
             parts.append((length, before + (level - before) * (piece + 1) / pieces, hz))
         before = level
     return parts
-
-
-def _envelope_effect(
-    points: list[tuple[int, float, float]], envelope: Envelope, band_hz: Band | None
-) -> bytes:
-    hz = to_device_hz(np.array([envelope.hz[0], *(one[2] for one in points)]), band_hz)
-    lines = [
-        f'    <control-point amplitude="{level:.4f}" frequencyHz="{at_hz:.2f}" '
-        f'durationMs="{duration}"/>'
-        for (duration, level, _), at_hz in zip(points, hz[1:].tolist(), strict=True)
-    ]
-    head = f'  <waveform-envelope-effect initialFrequencyHz="{hz[0]:.2f}">'
-    return _document([head, *lines, "  </waveform-envelope-effect>"], band_text(band_hz))
 
 
 def _waveform_effect(curve: VibrationCurve, duration_s: float, band_hz: Band | None) -> Content:
@@ -132,21 +127,14 @@ def _steps(curve: VibrationCurve, duration_s: float) -> list[tuple[int, int]]:
     # Compute the mean power of each step. The running sum is interpolated between samples.
     place = np.clip((1e-3 * np.array(edges) - curve.start_s) * curve.rate_hz + 0.5, 0, None)
     total = np.interp(place, np.arange(power.size), power)
-    spans = np.maximum(np.diff(place), 1e-9)
-    levels = np.sqrt(np.diff(total) / spans)
+    levels = np.sqrt(np.diff(total) / np.maximum(np.diff(place), 1e-9))
     amplitude = np.clip(np.rint(AMPLITUDE_MAX * levels), 0, AMPLITUDE_MAX).astype(int)
     durations = np.diff(edges)
-    return _merged(_without_short_rests(durations, amplitude), durations, {0, *onsets}, edges)
-
-
-def _without_short_rests(durations: Any, amplitude: Any) -> Any:
-    """Return the amplitudes, with 1 instead of 0 in pauses shorter than SILENT_MS."""
-    filled = amplitude.copy()
-    edges = np.flatnonzero(np.diff(amplitude == 0)) + 1
-    for first, end in pairwise(edges.tolist()):
-        if amplitude[first] == 0 and int(durations[first:end].sum()) < SILENT_MS:
-            filled[first:end] = 1
-    return filled
+    rests = amplitude == 0
+    for begin, end in pairwise((np.flatnonzero(np.diff(rests)) + 1).tolist()):
+        if rests[begin] and int(durations[begin:end].sum()) < SILENT_MS:
+            amplitude[begin:end] = 1
+    return _merged(amplitude, durations, {0, *onsets}, edges)
 
 
 def _merged(

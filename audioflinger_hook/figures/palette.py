@@ -44,8 +44,15 @@ def indexed_png(rgba: NDArray[np.uint8], dots_per_inch: int, description: str = 
     Each pixel gets the nearest of 256 colours.
     description: text for the PNG's "Description" chunk.
     """
+    colours = [np.array(to_rgb(WHITE)), *level_map()(np.linspace(0.0, 1.0, _LEVELS))[:, :3]]
+    for over, under, steps in _BLENDS:
+        colours += _blend(over, np.array(to_rgb(under)), steps)
+    for level in level_map()(np.linspace(0.0, 0.95, _LEVELS_UNDER_FELT)):
+        colours += _blend(FELT, level[:3], _STEPS_ON_LEVELS)
+    # Pillow requires 256 colours. The last colour fills the rest.
+    colours += [colours[-1]] * (256 - len(colours))
     palette = Image.new("P", (1, 1))
-    palette.putpalette(_indexed_colours().tobytes())
+    palette.putpalette(np.round(255.0 * np.array(colours)).astype(np.uint8).tobytes())
     picture = Image.fromarray(rgba[:, :, :3])
     indexed = picture.quantize(palette=palette, dither=Image.Dither.NONE)
     content, texts = io.BytesIO(), PngInfo()
@@ -54,17 +61,6 @@ def indexed_png(rgba: NDArray[np.uint8], dots_per_inch: int, description: str = 
     dpi = (dots_per_inch, dots_per_inch)
     indexed.save(content, format="PNG", optimize=True, dpi=dpi, pnginfo=texts)
     return content.getvalue()
-
-
-def _indexed_colours() -> NDArray[np.uint8]:
-    colours = [np.array(to_rgb(WHITE)), *level_map()(np.linspace(0.0, 1.0, _LEVELS))[:, :3]]
-    for over, under, steps in _BLENDS:
-        colours += _blend(over, np.array(to_rgb(under)), steps)
-    for level in level_map()(np.linspace(0.0, 0.95, _LEVELS_UNDER_FELT)):
-        colours += _blend(FELT, level[:3], _STEPS_ON_LEVELS)
-    # Pillow requires 256 colours. The last colour fills the rest.
-    colours += [colours[-1]] * (256 - len(colours))
-    return np.round(255.0 * np.array(colours)).astype(np.uint8)
 
 
 def _blend(over: str, under: NDArray[np.float64], steps: int) -> list[NDArray[np.float64]]:

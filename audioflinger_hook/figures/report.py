@@ -18,18 +18,13 @@ LEFT, RIGHT, TOP, BOTTOM = 0.072, 0.935, 0.922, 0.05
 
 # There is one column per pixel. Spectra have half as many columns, for a smaller file.
 COLUMNS = round((RIGHT - LEFT) * WIDTH_PX)
-SPECTRUM_COLUMNS = COLUMNS // 2
 
 AUDIO_LIMITS_HZ = (50.0, 12_000.0)
-AUDIO_ROWS = 200
 AUDIO_WINDOW_S = 0.04643  # same window as in the analysis of principal frequencies
 AUDIO_RANGE_DB = 60.0
 
 VIBRATION_LIMITS_HZ = (0.0, 260.0)
 VIBRATION_BAND_HZ = (20.0, 220.0)
-VIBRATION_ROWS = 131
-VIBRATION_WINDOW_S = 0.16  # long enough to separate 40 Hz from 80 Hz
-VIBRATION_RANGE_DB = 50.0
 
 RMS_WINDOW_S = 0.05
 
@@ -134,7 +129,7 @@ def _draw_audio(axes: Axes, audio: Samples, mono: Samples, samplerate: int) -> N
 def _draw_audio_spectrum(
     axes: Axes, mono: Samples, samplerate: int, found: NDArray[np.float64]
 ) -> None:
-    rows_hz = np.geomspace(*AUDIO_LIMITS_HZ, AUDIO_ROWS)
+    rows_hz = np.geomspace(*AUDIO_LIMITS_HZ, 200)
     panels.use_audio_frequency_axis(axes, AUDIO_LIMITS_HZ)
     _draw_spectrum(axes, mono, samplerate, rows_hz, AUDIO_WINDOW_S, AUDIO_RANGE_DB)
     if found.size:
@@ -143,17 +138,16 @@ def _draw_audio_spectrum(
 
 
 def _draw_vibration(axes: Axes, vibration: Samples, samplerate: int) -> None:
-    signal = vibration[:, None]
-    _, peak = _draw_outline(axes, signal, samplerate, palette.FELT, 0.01, "full scale")
+    _, peak = _draw_outline(axes, vibration[:, None], samplerate, palette.FELT, 0.01, "full scale")
     panels.draw_heading(axes, "Vibration", "what the amplifier is given", _peak_in_dbfs(peak))
 
 
 def _draw_vibration_spectrum(
     axes: Axes, vibration: Samples, samplerate: int, found: NDArray[np.float64]
 ) -> None:
-    rows_hz = np.linspace(*VIBRATION_LIMITS_HZ, VIBRATION_ROWS)
+    rows_hz = np.linspace(*VIBRATION_LIMITS_HZ, 131)
     axes.set_ylim(*VIBRATION_LIMITS_HZ)
-    window_s, range_db = VIBRATION_WINDOW_S, VIBRATION_RANGE_DB
+    window_s, range_db = 0.16, 50.0  # long enough to separate 40 Hz from 80 Hz
     _draw_spectrum(axes, vibration, samplerate, rows_hz, window_s, range_db)
     if found.size:
         # Keep only the strongest frequency at each time.
@@ -187,7 +181,7 @@ def _draw_spectrum(
 ) -> None:
     """Draw a spectrogram on a prepared frequency axis, with a colour bar on the right."""
     level_db = columns.spectrogram_db(
-        signal, samplerate, window_s=window_s, columns=SPECTRUM_COLUMNS, rows_hz=rows_hz
+        signal, samplerate, window_s=window_s, columns=COLUMNS // 2, rows_hz=rows_hz
     )
     panels.label_values(axes, "frequency (Hz)")
     image = panels.draw_spectrogram(axes, level_db, signal.size / samplerate, range_db=range_db)

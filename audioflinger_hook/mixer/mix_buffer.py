@@ -37,9 +37,8 @@ def _round_up(frames: int) -> int:
 class MixBuffer:
     """Frames of one cycle, float32, full scale +-1. Only the mixer's thread may use them.
 
-    `samples` (one-dimensional) has the interleaved audio frames, then the interleaved haptic
-    frames, as on Android. `audio` (frames, channels) and `haptic` (frames, haptic_channels) are
-    views of `samples`.
+    `samples` (one-dimensional) has interleaved audio frames, then interleaved haptic frames, as on
+    Android. `audio`, (frames, channels), and `haptic`, (frames, haptic_channels), are its views.
     """
 
     def __init__(self, frames: int, channels: int, haptic_channels: int = 0) -> None:

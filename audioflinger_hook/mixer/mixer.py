@@ -17,9 +17,7 @@ from device.errors import UsageError
 from device.layouts import CHANNELS_MAX
 from device.units import Float32Array
 
-STANDBY_DELAY_S = 3.0  # time without an active track until standby
 TAIL_S = 1.0  # a player's effects process silence for this time after its last track
-HAL_FRAMES_MAX = 1 << 16
 
 
 class MixerState(Enum):
@@ -70,10 +68,10 @@ class Mixer:
         haptic_channels: int = 0,
         sinks: Sequence[mix_buffer.Sink] = (),
         effects: mix_buffer.EffectsPort | None = None,
-        standby_delay_s: float = STANDBY_DELAY_S,
+        standby_delay_s: float = 3.0,
     ) -> None:
         wrong = [
-            *out_of_range("hal_frames", hal_frames, 1, HAL_FRAMES_MAX, ""),
+            *out_of_range("hal_frames", hal_frames, 1, 1 << 16, ""),
             *out_of_range("samplerate", samplerate, *SAMPLERATES, " Hz"),
             *out_of_range("channels", channels, 1, CHANNELS_MAX, ""),
             *out_of_range("haptic_channels", haptic_channels, 0, CHANNELS_MAX, ""),
@@ -154,8 +152,19 @@ class Mixer:
         default). With cycles as long as the buffers of the source, mixing adds no delay.
         """
         self.cycles += 1
-        self._take_events()
-        active = self._active_lanes()
+        # An event can post another event, which then waits for the next cycle.
+        for _ in range(len(self._events)):
+            event = self._events.popleft()
+            try:
+                event()
+            except Exception as failure:  # a failing event must not interrupt the sound
+                self.failed_events += 1
+                self.last_failure = f"{type(failure).__name__}: {failure}"
+        for lane in self._lanes:
+            lane.update()  # carries out the client's requests
+        if any(lane.gone for lane in self._lanes):
+            self._lanes = tuple(lane for lane in self._lanes if not lane.gone)
+        active = [lane for lane in self._lanes if lane.is_active]
         if self._stands_by(bool(active), now_s):
             return CycleReport(MixerState.STANDBY, 0, 0, 0, self.buffer)
         frames = self.frames if frames is None else max(1, min(frames, self.frames))
@@ -171,24 +180,6 @@ class Mixer:
         self.cycles_written += 1
         self.frames_written += frames
         return CycleReport(self.state, frames, mixed, underruns, self.buffer)
-
-    def _take_events(self) -> None:
-        # An event can post another event, which then waits for the next cycle.
-        for _ in range(len(self._events)):
-            event = self._events.popleft()
-            try:
-                event()
-            except Exception as failure:  # a failing event must not interrupt the sound
-                self.failed_events += 1
-                self.last_failure = f"{type(failure).__name__}: {failure}"
-
-    def _active_lanes(self) -> list[Lane]:
-        """Execute the clients' requests, and return the `Lane` of each active track."""
-        for lane in self._lanes:
-            lane.update()
-        if any(lane.gone for lane in self._lanes):
-            self._lanes = tuple(lane for lane in self._lanes if not lane.gone)
-        return [lane for lane in self._lanes if lane.is_active]
 
     def _stands_by(self, any_active: bool, now_s: float) -> bool:
         """Enter standby if no track was mixed for `standby_delay_s`. Return True in standby."""
@@ -208,7 +199,15 @@ class Mixer:
 
     def _mix(self, active: list[Lane], frames: int) -> tuple[int, int]:
         """Mix the tracks. Return the numbers of mixed tracks and of tracks with too few frames."""
-        self._follow_sessions()
+        # Each player session with an effect chain has its own mix.
+        self._chains = frozenset(self.effects.sessions())
+        players = {session for session in self._chains if session > mix_buffer.OUTPUT_MIX}
+        if players != self._sessions.keys():
+            self._sessions = {
+                session: self._sessions.get(session)
+                or SessionMix(self.samplerate, self.frames, self.channels, self.haptic_channels)
+                for session in sorted(players, reverse=True)
+            }
         if self.buffer.frames != frames:
             self.buffer.hold(frames)
         scratch = self._scratch[:frames]
@@ -230,17 +229,6 @@ class Mixer:
                 lane.mix(self.buffer.audio, scratch, first=self._empty)
                 self._empty = False
         return mixed, underruns
-
-    def _follow_sessions(self) -> None:
-        """Give each player session with an effect chain its own mix; delete other session mixes."""
-        self._chains = frozenset(self.effects.sessions())
-        players = {session for session in self._chains if session > mix_buffer.OUTPUT_MIX}
-        if players != self._sessions.keys():
-            self._sessions = {
-                session: self._sessions.get(session)
-                or SessionMix(self.samplerate, self.frames, self.channels, self.haptic_channels)
-                for session in sorted(players, reverse=True)
-            }
 
     def _process(self, now_s: float) -> None:
         """Apply the players' chains, add their outputs to the mix, then apply the mix's chains."""

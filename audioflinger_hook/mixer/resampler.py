@@ -151,19 +151,7 @@ class Resampler:
 
     def feed(self, frames: Float32Array) -> None:
         """Append input frames, (n, channels), with non-finite samples replaced by 0."""
-        room = self._reserve(len(frames))
-        room[...] = frames
-        # A non-finite sample times a coefficient of 0 would be NaN.
-        finite = np.isfinite(room)
-        if not finite.all():
-            room[~finite] = 0.0
-
-    def produce(self, frames: Float32Array) -> None:
-        """Fill `frames`, (n, channels), after `frames_needed(n)` input frames were fed."""
-        self._kernel.render(self._inputs, self._base, self._next, frames)
-        self._next += len(frames)
-
-    def _reserve(self, count: int) -> Float32Array:
+        count = len(frames)
         end = self._fed - self._base
         if end + count + self._kernel.slack > len(self._inputs):
             kept = self._kernel.first_input(self._next) - self._base
@@ -178,7 +166,17 @@ class Resampler:
                 self._inputs[:held] = self._inputs[kept:end]
             end = held
         self._fed += count
-        return self._inputs[end : end + count]
+        room = self._inputs[end : end + count]
+        room[...] = frames
+        # A non-finite sample times a coefficient of 0 would be NaN.
+        finite = np.isfinite(room)
+        if not finite.all():
+            room[~finite] = 0.0
+
+    def produce(self, frames: Float32Array) -> None:
+        """Fill `frames`, (n, channels), after `frames_needed(n)` input frames were fed."""
+        self._kernel.render(self._inputs, self._base, self._next, frames)
+        self._next += len(frames)
 
 
 def frames_out(frames_in: int, rate_in: int, rate_out: int) -> int:

@@ -14,7 +14,6 @@ from device.layouts import CHANNELS_MAX
 from device.units import Float32Array
 
 SAMPLERATES = 1_000, 768_000  # lowest and highest, Hz
-PERIODS_IN_RING = 2  # default capacity of a ring in mixer cycles
 
 
 class TrackState(Enum):
@@ -120,7 +119,7 @@ class Track:
     ) -> None:
         rate_wrong = out_of_range("samplerate", samplerate, *SAMPLERATES, " Hz")
         period = 1 if rate_wrong else period_frames(samplerate, mix_samplerate, mix_frames)
-        ring_frames = PERIODS_IN_RING * period if ring_frames is None else ring_frames
+        ring_frames = 2 * period if ring_frames is None else ring_frames
         start_threshold = ring_frames if start_threshold is None else start_threshold
         ring_wrong = out_of_range("ring_frames", ring_frames, period, None, "")
         threshold_most = None if ring_wrong else ring_frames

@@ -30,7 +30,6 @@ CODE_NAME = "page.code."
 CODE_SIGNS, CODE_LENGTH = "23456789abcdefghjkmnpqrstuvwxyz", 12  # 59 bits, easy to type
 DEFAULT = "127.0.0.1:8765"
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
-WILDCARDS = ("0.0.0.0", "[::]")
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,7 @@ class Listen:
     @property
     def shown_host(self) -> str:
         """Host in the printed address. For a wildcard host, this is the computer's host name."""
-        return socket.gethostname().lower() if self.host in WILDCARDS else self.host
+        return socket.gethostname().lower() if self.host in ("0.0.0.0", "[::]") else self.host
 
 
 def load_key(folder: RuntimeFolder) -> str:

@@ -17,7 +17,7 @@ from prometheus_client.core import (
 
 from audioflinger_hook import __version__
 from audioflinger_hook.monitor.clients import Clients
-from audioflinger_hook.service.figure import Entry, Row, label_of, metrics, table
+from audioflinger_hook.service.figure import label_of, metrics, table
 from audioflinger_hook.service.json_codec import from_document
 from audioflinger_hook.service.meters import TIME_BOUNDS_S
 from audioflinger_hook.service.status import LatencyBudget, Status, status_rows
@@ -43,20 +43,17 @@ def figures_of(document: dict[str, Any]) -> dict[str, Any]:
         if row.panel:
             tones = {piece.tone for piece in row.pieces}
             tone = next((tone for tone in TONES if tone in tones), "")
-            panels[row.panel].append([row.label.strip(), _text(row), tone, row.help])
-    parts = [
+            text = str(row)
+            if row.panel == "rig":  # each figure is on a separate line
+                parts = (part.replace(", ", "\n", part.startswith(", ")) for part, _ in row.parts)
+                text = "".join(parts)
+            panels[row.panel].append([row.label.strip(), text, tone, row.help])
+    delays = [
         [label_of(name, known), getattr(status.latency, name), known.help]
         for name, known, _ in table(LatencyBudget)
         if name != "total_ms"
     ]
-    return {"panels": panels, "parts": parts}
-
-
-def _text(row: Row) -> str:
-    """Return the text of a row. In the panel "rig", each figure is on a separate line."""
-    if row.panel != "rig":
-        return str(row)
-    return "".join(text.replace(", ", "\n", text.startswith(", ")) for text, _ in row.parts)
+    return {"panels": panels, "parts": delays}
 
 
 def metrics_text(source: Clients) -> bytes:
@@ -101,7 +98,12 @@ def _families(status: Status) -> Iterator[Metric]:
         by, own = entry.label
         if name not in found:
             kind = CounterMetricFamily if entry.kind == "count" else GaugeMetricFamily
-            found[name] = kind(name, _meaning(entry), labels=[by] if by else [])
+            # the help of the only figure, or of the group whose figures share the metric
+            metric = entry.figure.metric
+            is_part = len(entry.path) > 1 and "{" in metric and "{^" not in metric
+            text = entry.group.__doc__.partition("\n")[0] if is_part else f"{entry.figure.help}."
+            text = text[0].upper() + text[1:]
+            found[name] = kind(name, text, labels=[by] if by else [])
         samples = {own: value}
         if entry.figure.words:
             now = value.value if isinstance(value, Enum) else value
@@ -111,10 +113,3 @@ def _families(status: Status) -> Iterator[Metric]:
         for word, number in samples.items():
             found[name].add_metric([word] if by else [], entry.base(number))
     yield from found.values()
-
-
-def _meaning(entry: Entry) -> str:
-    """Return a metric's help: that of its only figure, or of the group whose figures share it."""
-    is_part = len(entry.path) > 1 and "{" in entry.figure.metric and "{^" not in entry.figure.metric
-    text = entry.group.__doc__.partition("\n")[0] if is_part else f"{entry.figure.help}."
-    return f"{text[0].upper()}{text[1:]}"

@@ -38,7 +38,6 @@ READ_BYTES = 16_384  # limit of a connection's read buffer in the system
 METHOD_BYTES_MAX = 32
 NOT_ALLOWED = HTTPStatus.METHOD_NOT_ALLOWED, "the page takes GET and HEAD"
 MESSAGES_PER_S, BURST_S = 5_000, 1.0  # of all browsers; limits the CPU load
-LAST_S = 3.0  # timeout for the requests of a browser that has left
 CONTROL_PAUSE_S = 0.02  # pause after each request that is forwarded to the daemon
 
 SCRIPTS = (
@@ -190,7 +189,7 @@ class PageServer:
             sending.cancel()
             with suppress(asyncio.CancelledError, ConnectionClosed):
                 await sending
-            await asyncio.wait({asking}, timeout=LAST_S)
+            await asyncio.wait({asking}, timeout=3.0)
             asking.cancel()
             if client.tries:
                 await self._link.control({"sync": {"try_ms": None}})

@@ -129,8 +129,7 @@ class LocalWorkers(Place):
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         if kind is not None:
-            # Terminate the running items. Results appear only when complete, so no partial result
-            # remains.
+            # End the running items. Results appear only when complete, so no partial one remains.
             for process in list((self._pool._processes or {}).values()):
                 process.terminate()
         self._pool.shutdown(wait=True, cancel_futures=True)
@@ -140,7 +139,14 @@ class LocalWorkers(Place):
         # this process would inherit the locks of its threads, but costs less for one worker.
         is_fork = self._count == 1 and threading.active_count() == 1
         if not is_fork:
-            _start_server(self._preload)
+            multiprocessing.get_context("forkserver").set_forkserver_preload([self._preload])
+            _prepare_sockets()
+            # SIGHUP must end only this process, which then ends the forkserver and the workers.
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGHUP,))
+            try:
+                forkserver.ensure_running()
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
         context = multiprocessing.get_context("fork" if is_fork else "forkserver")
         pool = ProcessPoolExecutor(self._count, context, _begin_worker, (self.shares,))
         if is_fork:
@@ -150,17 +156,6 @@ class LocalWorkers(Place):
         assert pool._processes is not None
         self._processes = pool._processes  # filled later, in the case of a forkserver
         return pool
-
-
-def _start_server(preload: str) -> None:
-    multiprocessing.get_context("forkserver").set_forkserver_preload([preload])
-    _prepare_sockets()
-    # SIGHUP must end only this process, which then ends the forkserver and the workers.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGHUP,))
-    try:
-        forkserver.ensure_running()
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @cache
@@ -316,8 +311,7 @@ def render_files(
                 try:
                     came = result(futures.pop(item), alone=False)
                 except BrokenExecutor:
-                    # It is unknown which file killed the process, so each running file is retried
-                    # alone.
+                    # It is unknown which file killed the process: retry each running file alone.
                     came = result(submit(item), alone=True)
             except BrokenExecutor:
                 died = InternalError(f"{sources[item]}: its process died twice, {pool.death()}")

@@ -70,8 +70,7 @@ def inspect_tap(
     mix = MonoMix(downmix(tap.channels), tap.samplerate)
     window = transform.latency_frames
     exact = None if at_s is None else min(at_s, LONGEST_S) * tap.samplerate
-    # The printed start of a unit has six decimals. Given as `at_s`, this time must select the same
-    # unit.
+    # A unit's printed start has six decimals. Given as `at_s`, it must select the same unit.
     wanted = None if exact is None else int(exact + PRINTED_S * tap.samplerate) // window
 
     def unit_of(number: int, frames: FloatArray) -> Unit:

@@ -136,8 +136,7 @@ def render(
         drives = [drive_of(settings, rate, framework.haptic_channels) for _ in faded]
         driven = []
         for after, drive in zip(faded, drives, strict=True):
-            # A delayed actuator first plays frames from before the sound, so these are removed
-            # after the drive.
+            # A delayed actuator first plays frames from before the sound: remove them afterwards.
             late = framework.latency_frames if drive.sources else 0
             aligned = AlignedOutput(after, drive.latency_frames + late)
             before = DrivenOutput(aligned, drive, channel_map)

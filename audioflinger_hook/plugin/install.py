@@ -22,7 +22,6 @@ CHANNELS = 2  # channels of sound in the designs; the mono variant duplicates it
 
 RATES_HZ = (44_100, 48_000, 88_200, 96_000, 176_400, 192_000)
 MARKER = "Written by `cushion plugin install`; `cushion plugin remove` removes it."
-BUNDLE = "haptic-cushion.lv2"
 CHAIN = "haptic-cushion.conf"
 HOST = "filter-chain.conf"
 HOST_FOLDERS = (Path("/usr/share/pipewire"), Path("/etc/pipewire"))
@@ -49,7 +48,7 @@ class Places:
         data = Path(environ.get("XDG_DATA_HOME") or f"{home}/.local/share")
         config = Path(environ.get("XDG_CONFIG_HOME") or f"{home}/.config")
         chain = config / "pipewire" / "filter-chain.conf.d" / CHAIN
-        return cls(data / "haptic-cushion", Path(home) / ".lv2" / BUNDLE, chain)
+        return cls(data / "haptic-cushion", Path(home) / ".lv2" / "haptic-cushion.lv2", chain)
 
     @property
     def plugin(self) -> Path:

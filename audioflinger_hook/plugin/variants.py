@@ -12,7 +12,6 @@ from device.errors import NotFoundError
 
 INPUT, OUTPUT, CONTROL, AUDIO = 1, 2, 4, 8
 TOGGLED = 0x4
-OF_THE_DAEMON = "haptic_cushion_daemon"
 
 DESCRIPTION = "haptic_cushion.ttl"
 PREFIX = "urn:haptic-cushion:"
@@ -87,7 +86,7 @@ def public_variants(plugin: Path) -> tuple[PluginVariant, ...]:
             limits = shown.port_ranges[port]
             ports.append(Port(name, kind, bool(limits.hint & TOGGLED), limits.lower, limits.upper))
         variants.append(PluginVariant(shown.label.decode(), shown.name.decode(), tuple(ports)))
-    return tuple(variant for variant in variants if variant.label != OF_THE_DAEMON)
+    return tuple(variant for variant in variants if variant.label != "haptic_cushion_daemon")
 
 
 def manifest(variants: Sequence[PluginVariant], marker: str) -> str:

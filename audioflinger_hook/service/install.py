@@ -135,7 +135,6 @@ UDEV_COMMAND = (  # shell command, which requires root
 
 
 OWN_BYTES_MAX = 1 << 16
-SYSTEMCTL_S = 5.0
 RELOAD = "systemctl --user daemon-reload"
 START = ("systemctl --user enable cushion.service", "systemctl --user restart cushion.service")
 RESTART = (RELOAD, "systemctl --user try-restart cushion.service")  # if it is running
@@ -171,9 +170,7 @@ def systemd_version() -> int:
     return int(found[1]) if found else 0
 
 
-def printed(
-    *command: str, environ: Mapping[str, str] = os.environ, limit_s: float = SYSTEMCTL_S
-) -> str:
+def printed(*command: str, environ: Mapping[str, str] = os.environ, limit_s: float = 5.0) -> str:
     """Return what a program prints; "" if it is missing, fails or takes over `limit_s`."""
     with suppress(OSError, SubprocessError):
         done = check_output(command, env=environ, stdin=DEVNULL, stderr=DEVNULL, timeout=limit_s)

@@ -35,8 +35,7 @@ class RuntimeFolder(contextlib.AbstractContextManager["RuntimeFolder"]):
     descriptor, which refers to the same folder even after a rename.
 
     UsageError: the variable is not a usable path, or the folder is a link, has another owner, or
-    is accessible to other users. NotFoundError: the folder does not exist. InternalError: the disk
-    or the system failed.
+    is open to others. NotFoundError: it does not exist. InternalError: the disk or system failed.
     """
 
     def __init__(self, environ: Mapping[str, str], create: bool) -> None:

@@ -43,8 +43,7 @@ def ask_control(request: Mapping[str, Any], timeout_s: float, clock: Callable[[]
     UsageError: the daemon refuses the request. Other errors and arguments: as for `ask_status`.
     """
     asked = {**request, "ask": "control", "protocol": PROTOCOL}
-    line = _answer(asked, timeout_s, clock, os.environ)
-    if refused := _error_in(line):
+    if refused := _error_in(_answer(asked, timeout_s, clock, os.environ)):
         raise UsageError(f"the daemon refuses the request: {refused}")
 
 

@@ -9,7 +9,6 @@ from audioflinger_hook.service.one_line import one_line
 from audioflinger_hook.service.state import DaemonState
 
 SEND_TIMEOUT_S = 0.2  # longest wait for space in systemd's queue
-CHECKS_PER_PERIOD = 4  # checks per watchdog period; a single late check has no effect
 
 
 class Notifier:
@@ -49,7 +48,7 @@ class Watchdog:
     """
 
     def __init__(self, period_s: float | None) -> None:
-        self.check_s = None if period_s is None else period_s / CHECKS_PER_PERIOD
+        self.check_s = None if period_s is None else period_s / 4  # one late check has no effect
         self._fed_s = -math.inf
         self._buffers = -1
 

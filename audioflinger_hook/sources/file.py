@@ -44,8 +44,7 @@ class FileTap(SteadyTap):
                 try:
                     self._file.seek(first)
                 except (soundfile.LibsndfileError, RuntimeError) as error:
-                    said = reason_of(error)
-                    raise UsageError(f"{path} has no frame {first} ({said})") from None
+                    raise UsageError(f"{path} has no frame {first} ({reason_of(error)})") from None
             check_format(*format_)
             super().__init__(*format_, self._decoded(first, expected), expected)
             if self._next is None:

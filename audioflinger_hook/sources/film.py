@@ -42,7 +42,10 @@ class FilmTap(SteadyTap):
         self._path = path
         self._errors = (av.error.FFmpegError, ValueError)
         try:
-            self._container: Any = _opened(av, path)
+            # PyAV before version 19 needs an option to accept invalid text in metadata.
+            is_old = int(av.__version__.partition(".")[0]) < 19
+            options: Any = {"metadata_errors": "replace"} if is_old else {}
+            self._container: Any = av.open(str(path), **options)
         except (*self._errors, OSError) as error:
             raise UsageError(f"{path} cannot be read as a film ({reason_of(error)})") from None
         try:
@@ -135,10 +138,3 @@ class FilmTap(SteadyTap):
             self.warnings.append(
                 f"{self._path} is damaged ({reason_of(error)}); its sound was taken"
             )
-
-
-def _opened(av: Any, path: Path) -> Any:
-    """Open a film. PyAV before version 19 needs an option to accept invalid text in metadata."""
-    if int(av.__version__.partition(".")[0]) >= 19:
-        return av.open(str(path))
-    return av.open(str(path), metadata_errors="replace")

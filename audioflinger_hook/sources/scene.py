@@ -64,7 +64,11 @@ class _Voice:
 
     def play(self, first: int, last: int) -> None:
         if first <= self.start < last:
-            self._start(self.start - first)
+            track = self.track
+            lead = round((self.start - first) * track.samplerate / track.mix_samplerate)
+            silence = encode(np.zeros((lead, track.channels), np.float32), track.format)
+            self.stored = silence + self.stored
+            track.start()
         if first <= self.pause < last:
             self.track.pause()
         if first <= self.resume < last:
@@ -76,13 +80,6 @@ class _Voice:
             # A stopped track ignores a pause, so stop only after the last pause.
             if not self.stored and self.resume < last:
                 self.track.stop()
-
-    def _start(self, lead_frames: int) -> None:
-        """Start the track, with `lead_frames` frames of silence before the sound in this cycle."""
-        lead = round(lead_frames * self.track.samplerate / self.track.mix_samplerate)
-        silence = encode(np.zeros((lead, self.track.channels), np.float32), self.track.format)
-        self.stored = silence + self.stored
-        self.track.start()
 
 
 def mixdown(scene: Scene) -> Float32Array:

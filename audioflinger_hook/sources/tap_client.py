@@ -108,8 +108,13 @@ class TapClient:
                 if getattr(self._tap, "starved", False):
                     return 0
                 buffer = None if self._ended else self._tap.read()
-                if buffer is None:
-                    return self._play_tail()
+                if buffer is None:  # the resamplers' last output
+                    if not self._ended:
+                        self._ended = True
+                        self._stop()
+                    frames = min(self._tail, self._mixer.frames)
+                    self._tail -= frames
+                    return frames or None
                 self.buffers += 1
                 self.discontinuities += self._tap.discontinuity
                 if self._tap.format_changed:
@@ -149,12 +154,3 @@ class TapClient:
         assert self._track is not None
         self._track.stop()
         self._tail = max(self._tail, tail_frames_out(self._rate, self._mixer.samplerate))
-
-    def _play_tail(self) -> int | None:
-        """Return the frame count of a cycle with the resamplers' last output; None at the end."""
-        if not self._ended:
-            self._ended = True
-            self._stop()
-        frames = min(self._tail, self._mixer.frames)
-        self._tail -= frames
-        return frames or None

@@ -107,17 +107,14 @@ class MonoMix:
             power = whole[:, :, 0]
             for frame in range(1, GROUP_FRAMES):
                 power = power + whole[:, :, frame]
-            found = np.concatenate((found, self._factor(*(power / GROUP_FRAMES))))
+            of_mean, of_side = power / GROUP_FRAMES  # mean powers of m and s in each group
+            mean = self._smooth(0, self._slow, of_mean)
+            both = mean + self._smooth(1, self._slow, of_side)
+            mean = mean + self._evidence * self._smooth(2, self._newest, of_mean + of_side)
+            most = np.clip((CANCELS_FROM - mean / both) / (CANCELS_FROM - CANCELS_UP_TO), 0.0, 1.0)
+            found = np.concatenate((found, most * most * (3.0 - 2.0 * most)))
             self._factors = found[-2:]
         return found
-
-    def _factor(self, of_mean: FloatArray, of_side: FloatArray) -> FloatArray:
-        """Return the factor f for each group, from the mean powers of m and s in each group."""
-        mean = self._smooth(0, self._slow, of_mean)
-        both = mean + self._smooth(1, self._slow, of_side)
-        mean = mean + self._evidence * self._smooth(2, self._newest, of_mean + of_side)
-        most = np.clip((CANCELS_FROM - mean / both) / (CANCELS_FROM - CANCELS_UP_TO), 0.0, 1.0)
-        return np.asarray(most * most * (3.0 - 2.0 * most))
 
     def _smooth(self, which: int, newest: float, power: FloatArray) -> FloatArray:
         smoothed, self._powers[which] = scipy.signal.lfilter(

@@ -30,8 +30,7 @@ class Spectrum:
     def of(cls, parameters: TransformParameters, samplerate: int) -> "Spectrum":
         """Return the `Spectrum` for parameters and a samplerate in Hz."""
         frames = parameters.window_frames(samplerate)
-        phase = 2.0 * np.pi * np.arange(frames) / frames
-        hamming = 0.54 - 0.46 * np.cos(phase)
+        hamming = 0.54 - 0.46 * np.cos(2.0 * np.pi * np.arange(frames) / frames)
         window = hamming * (2.0 / hamming.sum())
         return cls(samplerate, window, parameters.fft_length(samplerate))
 

@@ -65,8 +65,7 @@ class Superposition:
         for unit, (first, end) in enumerate(pairwise(edges)):
             if first < end:
                 rows = left[first:end].reshape(-1, self._coarse_turns.size)
-                columns = right[first:end].reshape(-1, self._fine)
-                np.matmul(rows.T, columns, out=grid[unit])
+                np.matmul(rows.T, right[first:end].reshape(-1, self._fine), out=grid[unit])
         sums = grid.reshape(len(grid), -1)
         if weight.size:
             self._redo(sums, weight, hz, edges)
@@ -154,8 +153,7 @@ class ReferenceTransform:
         vibration = np.empty(units.shape)
         for first in range(0, len(units), UNITS_AT_ONCE):
             batch = slice(first, first + UNITS_AT_ONCE)
-            found = self.analyse(units[batch])
-            vibration[batch] = self._superposed(found, len(units[batch]))
+            vibration[batch] = self._superposed(self.analyse(units[batch]), len(units[batch]))
         return vibration.reshape(-1)
 
     def _superposed(self, found: Principals, units: int) -> FloatArray:
@@ -179,8 +177,7 @@ class ReferenceTransform:
 class ReferenceStream:
     """The reference form of a stream with `channels` channels of sound.
 
-    transforms: one for each channel of vibration; a single transform processes the mono mix.
-    weights: see `HapticTransform`.
+    transforms: one for each channel, or one for the mono mix. weights: see `HapticTransform`.
     """
 
     told: tuple[tuple[float, float, float], ...] = ()

@@ -1,12 +1,5 @@
 """Sound cards without a sound server: their formats, volumes, and the programs that use them.
 
-| module | contents |
-| --- | --- |
-| `cards` | cards, their playback and capture devices, and the programs that use them |
-| `offers` | the formats, rates and channel counts that a card offers, and the choice among them |
-| `mixer` | a card's own volumes and mutes |
-| `decibels` | the level in dB of each step of a volume control |
-
 `device.stream` opens streams on cards.
 """
 

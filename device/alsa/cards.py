@@ -80,17 +80,6 @@ class HwParams:
         return (self.buffer_frames - self.period_frames) / self.samplerate
 
 
-@dataclass(frozen=True)
-class Owner:
-    """The program that has opened a device. process: its process id. name: "" if unknown."""
-
-    process: int
-    name: str
-
-    def __str__(self) -> str:
-        return f"{self.name or 'another program'} (process {self.process})"
-
-
 def list_cards(root: Path = PROC) -> tuple[Card, ...]:
     """Return all cards, sorted by number. root: the kernel's directory of sound cards."""
     found = []
@@ -185,8 +174,11 @@ def read_hw_params(playback: AlsaDevice) -> tuple[HwParams, ...]:
     return tuple(opened)
 
 
-def find_owner(playback: AlsaDevice, processes: Path = Path("/proc")) -> Owner | None:
-    """Return the program that uses the device; None if it is unknown or a substream is free."""
+def find_owner(playback: AlsaDevice, processes: Path = Path("/proc")) -> str | None:
+    """Return the program that uses the device, such as "mpv (process 1234)".
+
+    None: the program is unknown, or a substream is free.
+    """
     first = None
     for folder in sorted(playback.folder.glob("sub*")):
         status = folder / "status"
@@ -196,7 +188,8 @@ def find_owner(playback: AlsaDevice, processes: Path = Path("/proc")) -> Owner |
         if first is None and digits.isdecimal():
             thread = processes / digits
             process = read_fields(thread / "status").get("Tgid", digits)
-            first = Owner(int(process), read_text(processes / process / "comm").strip())
+            name = read_text(processes / process / "comm").strip() or "another program"
+            first = f"{name} (process {process})"
     return first
 
 

@@ -26,8 +26,7 @@ _READ_BACK_DB = 1.0  # a level that is read back may be lower by this: drivers r
 
 _MOST_ELEMENTS, _TABLE_WORDS = 4_096, 1_024
 
-# fcntl.ioctl keeps the GIL for large structures: audio threads would wait for the GIL until the
-# device answers.
+# fcntl.ioctl keeps the GIL for large structures: audio threads would wait until a device answers.
 _ioctl = ctypes.CDLL(None, use_errno=True).ioctl
 _ioctl.argtypes = (c_int, c_ulong, c_void_p)
 
@@ -111,8 +110,7 @@ class CardMixer:
         self.volumes: list[MixerControl] = []
         self.switches: list[MixerControl] = []
         try:
-            for number in self._numbers():
-                self._take(number)
+            self._read_controls()
         except BaseException:
             self.close()
             raise
@@ -168,32 +166,29 @@ class CardMixer:
             os.close(self._file)
             self._file = -1
 
-    def _numbers(self) -> list[int]:
+    def _read_controls(self) -> None:
         listing = _List()
         self._ask(_GET_LIST, listing)
         ids = (_Id * min(listing.count, _MOST_ELEMENTS))()
         listing = _List(space=len(ids), ids=ctypes.addressof(ids))
         self._ask(_GET_LIST, listing)
-        return [
-            control.number
-            for control in ids[: listing.used]
-            if control.interface == _MIXER
-            and control.name.endswith((_VOLUME.encode(), _SWITCH.encode()))
-        ]
-
-    def _take(self, number: int) -> None:
-        info = _Info(_Id(number))
-        self._ask(_GET_INFO, info)
-        allowed = _READABLE | _WRITABLE
-        if info.access & allowed != allowed or not 0 < info.count <= 128:
-            return
-        name = info.id.name.decode(errors="replace")
-        if info.type == _BOOLEAN and name.endswith(_SWITCH):
-            self.switches.append(MixerControl(name, info.count, number))
-        if info.type == _INTEGER and name.endswith(_VOLUME):
-            words = self._table(number) if info.access & _HAS_TABLE else []
-            decibels = parse_decibels(words, info.lowest, info.highest)
-            self.volumes.append(MixerControl(name, info.count, number, decibels))
+        for control in ids[: listing.used]:
+            ends = (_VOLUME.encode(), _SWITCH.encode())
+            if control.interface != _MIXER or not control.name.endswith(ends):
+                continue
+            number = control.number
+            info = _Info(_Id(number))
+            self._ask(_GET_INFO, info)
+            allowed = _READABLE | _WRITABLE
+            if info.access & allowed != allowed or not 0 < info.count <= 128:
+                continue
+            name = info.id.name.decode(errors="replace")
+            if info.type == _BOOLEAN and name.endswith(_SWITCH):
+                self.switches.append(MixerControl(name, info.count, number))
+            if info.type == _INTEGER and name.endswith(_VOLUME):
+                words = self._table(number) if info.access & _HAS_TABLE else []
+                decibels = parse_decibels(words, info.lowest, info.highest)
+                self.volumes.append(MixerControl(name, info.count, number, decibels))
 
     def _table(self, number: int) -> list[int]:
         table = _Table(number=number, length=4 * _TABLE_WORDS)

@@ -192,11 +192,13 @@ def choose_setup(
     wished = max(actuators, 2 if least_channels is None else least_channels)
     found: list[tuple[tuple[int, ...], CardSetup]] = []
     for offer in offers:
-        names = offer.formats
-        formats = [one for one in PREFERRED if one.value in names and one not in without]
+        formats = [one for one in PREFERRED if one.value in offer.formats and one not in without]
         if not actuators <= offer.channels <= CHANNELS_MAX or not formats:
             continue
-        for rate in _rates_to_try(offer.rates, samplerate):
+        rates, multiples = offer.rates, range(samplerate, MAX_HZ + 1, samplerate)
+        for rate in {*rates.single, *multiples, *_USUAL_HZ, rates.least, rates.most}:
+            if rate not in rates or not MIN_HZ <= rate <= MAX_HZ:
+                continue
             for one in formats:
                 bits = min(offer.bits or one.bits, one.bits)
                 rank = (
@@ -214,13 +216,6 @@ def choose_setup(
             f"to {MAX_HZ} Hz in {', '.join(one.value for one in PREFERRED)}; it offers {there}"
         )
     return min(found, key=lambda ranked: ranked[0])[1]
-
-
-def _rates_to_try(rates: Rates, samplerate: int) -> list[int]:
-    """Return offered rates from MIN_HZ to MAX_HZ; the best rate is one of them."""
-    multiples = range(samplerate, MAX_HZ + 1, samplerate)
-    candidates = {*rates.single, *multiples, *_USUAL_HZ, rates.least, rates.most}
-    return [rate for rate in candidates if rate in rates and MIN_HZ <= rate <= MAX_HZ]
 
 
 def _rate_rank(rate: int, samplerate: int) -> tuple[int, int]:

@@ -137,7 +137,13 @@ class Lateness:
         self._unseen_s += seconds
         if self._unseen_s >= _EVERY_S:
             self._unseen_s = 0.0
-            self._evaluate()
+            self.known = True
+            from_latest = list(accumulate(reversed(self._counts)))
+            beyond = bisect.bisect_right(from_latest, SHARE * from_latest[-1])
+            upper_edge_s = (len(self._counts) - beyond) * _BIN_S
+            late_s = min(self._limit_s, max(LEAST_S, upper_edge_s))
+            if late_s > self.estimate_s + _RISE_S or late_s < self.estimate_s - _FALL_S:
+                self.estimate_s = late_s
 
     def forget(self) -> None:
         """Discard all entries, which were measured against a wrong clock."""
@@ -147,14 +153,4 @@ class Lateness:
         self.estimate_s = min(LEAST_S, self._limit_s)
 
     def _count(self, late_s: float) -> None:
-        last = len(self._counts) - 1
-        self._counts[min(last, max(0, int(late_s / _BIN_S)))] += self._weight
-
-    def _evaluate(self) -> None:
-        self.known = True
-        from_latest = list(accumulate(reversed(self._counts)))
-        beyond = bisect.bisect_right(from_latest, SHARE * from_latest[-1])
-        upper_edge_s = (len(self._counts) - beyond) * _BIN_S
-        late_s = min(self._limit_s, max(LEAST_S, upper_edge_s))
-        if late_s > self.estimate_s + _RISE_S or late_s < self.estimate_s - _FALL_S:
-            self.estimate_s = late_s
+        self._counts[min(len(self._counts) - 1, max(0, int(late_s / _BIN_S)))] += self._weight

@@ -18,8 +18,7 @@ Wiring = tuple[tuple[int | str, ...], ...]  # for each actuator: channel numbers
 class ChannelMap:
     """The actuator that each channel of a device drives. Any thread may use the map.
 
-    actuators: number of actuators. sources: the actuator of every channel, from 0; None for
-    silence.
+    actuators: their number. sources: the actuator of every channel, from 0; None for silence.
     """
 
     actuators: int
@@ -63,8 +62,7 @@ class ChannelMap:
         """Return the map for the channels of each actuator (`wiring`); other channels are silent.
 
         positions: names of the channels in order, empty if unknown. device: name for messages.
-        UsageError: an actuator has no channel, two actuators share a channel, or the device lacks a
-        channel.
+        UsageError: an actuator has no channel, two share a channel, or the device lacks a channel.
         """
         numbered = [
             [_number(channel, channels, positions, device, actuator) for channel in its_channels]

@@ -32,8 +32,6 @@ CURRENT_DRIVE_OHM = 1e5  # the resistance of a coil, a few ohm, is negligible be
 
 SAMPLERATE = 48_000
 _DECAYS = 12.0  # time constants simulated after the burst; e^-24 of the energy remains
-HEADROOM_DB = 5.0
-UNCERTAINTY = 0.1  # largest expected relative error of f0
 NEVER_WORSE = 0.2  # relative error of f0 up to which the filter must lower the residual
 WANTED_Q = (DAMPED_Q, 0.4, 0.45, 0.55, 0.7, 0.85, 1.0, 1.4, 2.0, 3.0)
 CAUTION = (1.0, 0.9, 0.8, 0.65, 0.5, 0.35, 0.25)
@@ -223,8 +221,8 @@ class Candidate:
 def choose_damping(
     p: ActuatorParameters,
     *,
-    uncertainty: float = UNCERTAINTY,
-    headroom_db: float = HEADROOM_DB,
+    uncertainty: float = 0.1,
+    headroom_db: float = 5.0,
     source_impedance_ohm: float = 0.0,
 ) -> list[Candidate]:
     """Return all candidate filters, the best one first. The function is slow.

@@ -79,8 +79,7 @@ class DrivenOutput(WrappedOutput):
         if self._closed:
             raise InternalError("the output is closed: nothing can be written to it")
         # Double precision keeps the rounding between the stages negligible.
-        driven = self._drive.process(vibration.astype(np.float64))
-        super().write(self._map.mapped(driven))
+        super().write(self._map.mapped(self._drive.process(vibration.astype(np.float64))))
 
     def close(self) -> None:
         """Write the delayed frames, and finish the output. May be repeated."""

@@ -110,8 +110,7 @@ class ActuatorSettings(Described):
 def wiring_refusals(wired: Sequence[Sequence[int | str]]) -> dict[int, Refusal]:
     """Return the errors of a wiring by actuator number, from 1. wired: channels per actuator."""
     if len(wired) > ACTUATORS_MAX:
-        allowed = f"up to {ACTUATORS_MAX} actuators"
-        return {ACTUATORS_MAX + 1: Refusal("is one too many", allowed)}
+        return {ACTUATORS_MAX + 1: Refusal("is one too many", f"up to {ACTUATORS_MAX} actuators")}
     return {number: Refusal(*wrong) for number, wrong in check_wiring(wired).items()}
 
 

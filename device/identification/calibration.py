@@ -23,7 +23,6 @@ from device.rig.parameters import DriveMode
 from device.rig.rig import MIN_CURRENT_DRIVE_RATIO, Rig, Source
 
 STEPS = (0.25, 0.5, 1.0)  # successive levels, relative to the wanted level
-TOO_FAR = 1.1 * LARGEST_SHARE
 _UNEXPECTED = 1.3  # largest factor, either way, between a response's growth and the level's
 
 
@@ -68,7 +67,7 @@ def play_steps(
             if scaled and recording.names[1] == "acceleration":
                 moved_m = recording.excursion_m(transfer.estimate_transfer(recording).response)
                 share = after / step * moved_m / rig.actuator.x_max_m
-                if share > TOO_FAR:
+                if share > 1.1 * LARGEST_SHARE:
                     raise IdentificationError(
                         f"a sweep of that level moves {share:.2f} Xmax, at most {LARGEST_SHARE} is "
                         f"allowed: rig {rig.name!r} moves more than it says; lower the level"

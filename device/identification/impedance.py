@@ -32,7 +32,6 @@ from device.units import FloatArray
 
 # Largest accepted half-width of a 95 % interval, relative to the value.
 WIDEST = {"resistance_ohm": 0.05, "f0_hz": 0.03, "q_mechanical": 0.3, "q_electrical": 0.3}
-WIDEST_VOLTS = 0.05
 COIL_OHM = 0.3, 150.0  # range of plausible coil resistances
 _ADVICE = (
     "its rise at the resonance is small against the noise: raise the level a little, make the "
@@ -216,7 +215,15 @@ def identify_drive(recording: Recording, rig: Rig, impedance: Impedance | None) 
         starts = tuple(np.log([share * r]) for share in (0.03, 0.3, 3.0, 30.0))
         ends = np.log([1e-3 * r]), np.log([1e4 * r])
         extras.append(Extra("source", responses.load(impedance.admittance(f)), starts, *ends))
-    found, chosen, _ = fit_with_extras(recording, factors, [_drive_start(recording)], extras)
+    band = recording.band
+    played, measured = recording.reference_spectrum[band], recording.response_spectrum[band]
+    # the logarithm of the gain, and the delay in ms
+    start = [math.log(float(np.linalg.norm(measured) / np.linalg.norm(played)))]
+    if recording.delayed:
+        in_band_hz = recording.frequencies_hz[band]
+        delay_s = acceleration.find_delay_s(in_band_hz, played.conj() * measured)
+        start.append(delay_s / responses.DELAY_S)
+    found, chosen, _ = fit_with_extras(recording, factors, [np.array(start)], extras)
     advice = (
         "this is not an amplifier with one high-pass; switch off equalisers, and check the inputs"
     )
@@ -229,18 +236,6 @@ def identify_drive(recording: Recording, rig: Rig, impedance: Impedance | None) 
             source = None
     if source is None:
         volts = volts.scaled(1.0 + rig.amplifier.source_impedance_ohm / rig.actuator.resistance_ohm)
-    require("volts per full scale", volts, WIDEST_VOLTS, "raise the level a little")
+    require("volts per full scale", volts, 0.05, "raise the level a little")
     corner = acceleration.corner_of(found, chosen, len(factors), recording.high_pass_hz or 0.0)
     return Drive(volts, corner, source)
-
-
-def _drive_start(recording: Recording) -> FloatArray:
-    """Return the logarithm of the gain and, if `recording.delayed`, the delay in ms."""
-    band = recording.band
-    played, measured = recording.reference_spectrum[band], recording.response_spectrum[band]
-    start = [math.log(float(np.linalg.norm(measured) / np.linalg.norm(played)))]
-    if recording.delayed:
-        f = recording.frequencies_hz[band]
-        delay_s = acceleration.find_delay_s(f, played.conj() * measured)
-        start.append(delay_s / responses.DELAY_S)
-    return np.array(start)

@@ -166,8 +166,7 @@ class Recording:
         spectrum = np.asarray(rfft(self.response, self.length))
         if self.correction is not None:
             # At 0 Hz, outside the band, the correction may be 0.
-            correction = np.where(self.frequencies_hz > 0.0, self.correction, 1.0)
-            spectrum = spectrum / correction
+            spectrum = spectrum / np.where(self.frequencies_hz > 0.0, self.correction, 1.0)
         return spectrum
 
     @cached_property

@@ -94,8 +94,7 @@ class SimulatedLaboratory:
             return signal
         sounding = signal[sweep.lead_frames : len(signal) - round(sweep.tail_s * sweep.samplerate)]
         rms = float(np.sqrt(np.mean(sounding**2))) * 10.0 ** (-self._snr_db / 20.0)
-        noise = np.random.default_rng(seed).standard_normal(len(signal))
-        return np.asarray(signal + rms * noise)
+        return np.asarray(signal + rms * np.random.default_rng(seed).standard_normal(len(signal)))
 
 
 def through_amplifier(recording: Recording, amplifier: AmplifierParameters) -> Recording:

@@ -154,8 +154,7 @@ def assess_quality(recording: Recording) -> Quality:
         at = int(np.argmax(clear))
         hz = float(one.frequencies_hz[at]) if clear[at] > 0.0 else 0.0
         harmonics.append(Harmonic(one.order, float(clear[at]), hz))
-    coherence = float(np.median(found.coherence))
-    return Quality(recording.names, coherence, ranges, tuple(harmonics))
+    return Quality(recording.names, float(np.median(found.coherence)), ranges, tuple(harmonics))
 
 
 def check_recording(recording: Recording) -> None:

@@ -29,7 +29,6 @@ from device.units import FloatArray, finite_or_zero
 
 BLOCK_S = 0.1
 _ABSURD_V = 1e6
-_REPORTS = 4_096
 _NAMES = (*QUANTITIES, SEAT_ACCELERATION)
 FLOOR = 0.01  # errors are relative to a peak, or to this share of Xmax if the peak is less
 MARGIN = 2.5  # assumed ratio of the error to the first-order correction
@@ -106,7 +105,7 @@ class AdaptiveActuator:
         self._state = np.zeros(STATE_NUMBERS)
         self._frames = 0
         self.replaced_samples = 0  # volts that were NaN or above 1e6 in magnitude, and became 0
-        self.reports: deque[BlockReport] = deque(maxlen=_REPORTS)
+        self.reports: deque[BlockReport] = deque(maxlen=4_096)
         self.frames_by_model: dict[Model, int] = {"linear": 0, "nonlinear": 0}
 
     @property

@@ -15,7 +15,6 @@ from device.rig.rig import Rig
 from device.units import FloatArray
 
 SHOWN: tuple[Quantity, ...] = ("acceleration_m_s2", "displacement_m", "current_a")
-_SECONDS = 86_400  # largest number of kept reports
 
 
 def actuator_of(rig: Rig, samplerate: float, model: Model, tolerance: float) -> AdaptiveActuator:
@@ -59,8 +58,7 @@ class _Compared:
         found, expected = (
             np.array([one.acceleration_m_s2, one.displacement_m]) for one in (motion, true)
         )
-        wrong = np.abs(found - expected).max(axis=1, initial=0.0)
-        self._wrong = np.maximum(self._wrong, wrong)
+        self._wrong = np.maximum(self._wrong, np.abs(found - expected).max(axis=1, initial=0.0))
         self._peaks = np.maximum(self._peaks, np.abs(expected).max(axis=1, initial=0.0))
 
     def end(self) -> tuple[float, int]:
@@ -80,7 +78,7 @@ class ModelRecord:
         self._compared = [_Compared(actuator) for actuator in actuators]
         self._samplerate, self._clock = samplerate, clock
         self._frames, self._begun, self._cost_s = 0, 0, 0.0
-        self.seconds: deque[SecondReport] = deque(maxlen=_SECONDS)
+        self.seconds: deque[SecondReport] = deque(maxlen=86_400)  # those of a day
 
     def move(self, index: int, volts: FloatArray) -> Motion:
         """Move one actuator and its reference by a block, of the same length for all actuators."""

@@ -69,8 +69,7 @@ class SimulatedRig:
     @property
     def clipped_samples(self) -> int:
         """Number of samples that DACs or amplifiers have clipped."""
-        stages = self._stages
-        return sum(one.dac.clipped_samples + one.amplifier.clipped_samples for one in stages)
+        return sum(one.dac.clipped_samples + one.amplifier.clipped_samples for one in self._stages)
 
     @property
     def replaced_samples(self) -> int:

@@ -43,8 +43,7 @@ class Temperatures:
         if duration_s not in self._steps:
             if len(self._steps) > 64:  # limits the memory for varying block lengths
                 self._steps.clear()
-            whole = _exponential(self._rate * duration_s)
-            self._steps[duration_s] = whole[:2].ravel().tolist()
+            self._steps[duration_s] = _exponential(self._rate * duration_s)[:2].ravel().tolist()
         return self._steps[duration_s]
 
 

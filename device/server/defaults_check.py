@@ -17,7 +17,6 @@ RENEW_AGAIN_S, RENEW_AT_MOST_S = 2.0, 30.0
 """Shortest time between two detections; it doubles up to the second value until a check agrees."""
 
 AGAIN_S = 0.5  # time between two queries, in which a change in progress ends
-TRIES = 5  # pairs of queries in a check, until two new connections agree
 
 
 class Defaults(NamedTuple):
@@ -65,7 +64,7 @@ class DefaultsCheck:
 
         known: the connection's defaults. This blocks for a few seconds at most.
         """
-        for _ in range(TRIES):
+        for _ in range(5):
             first = fetch_defaults()
             if first == known:
                 self._renew_again_s = RENEW_AGAIN_S

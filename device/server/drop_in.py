@@ -143,8 +143,14 @@ class DropIn(Listener):
         now_s = time.monotonic()
         self._streams.free_vibration(snapshot, self._haptic_sink)
         choice = self._default.detect_choice(snapshot, now_s, self._possible_targets(snapshot))
-        if choice is not None:
-            self._accept_choice(choice, snapshot)
+        if choice in self._possible_targets(snapshot):
+            self._refusal = ""
+            self._target = self._restore = choice
+            self._circular.discard(choice)
+            self._streams.forget()
+        elif choice is not None:
+            why = self._why_unfit(choice)
+            self._refusal = f"the sound does not go to {choice!r}, the new default sink: {why}"
         target = self._choose_target(snapshot)
         snapshot = self._ensure_sink(snapshot, target)
         snapshot = self._ensure_loopback(snapshot, target)
@@ -161,17 +167,6 @@ class DropIn(Listener):
             self._streams.collect(snapshot, target, now_s)
         self.reason = _CONTESTED if contested else self._refusal
         return (contested or self._default.settled) and self._streams.all_here
-
-    def _accept_choice(self, choice: str, snapshot: ServerSnapshot) -> None:
-        """Make a new default sink the target, or store why it cannot be the target."""
-        if choice in self._possible_targets(snapshot):
-            self._refusal = ""
-            self._target = self._restore = choice
-            self._circular.discard(choice)
-            self._streams.forget()
-        else:
-            why = self._why_unfit(choice)
-            self._refusal = f"the sound does not go to {choice!r}, the new default sink: {why}"
 
     def _choose_target(self, snapshot: ServerSnapshot) -> str | None:
         """Return the sink to forward to: the chosen sink, else the latest target, else any sink."""

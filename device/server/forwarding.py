@@ -101,7 +101,12 @@ def carries_sound_of(snapshot: ServerSnapshot, stream: Stream, sinks: Collection
     monitors = {source.index for source in snapshot.sources if source.monitor_of in sinks}
     inputs: list[Sink | Stream] = [sink for sink in snapshot.sinks if sink.name in sinks]
     inputs += [tap for tap in snapshot.source_outputs if tap.device_index in monitors]
-    return any(_belong_together(one, stream) for one in inputs)
+    group = stream.properties.get("node.link-group")
+    return any(
+        (one.module is not None and one.module == stream.module)
+        or (group is not None and one.properties.get("node.link-group") == group)
+        for one in inputs
+    )
 
 
 def sink_arguments(snapshot: ServerSnapshot, target: Sink) -> list[str]:
@@ -150,9 +155,3 @@ def loopback_arguments(snapshot: ServerSnapshot, route: Route, sink: Sink) -> li
 def _format(sink: Sink) -> list[str]:
     names = [f"channel_map={sink.channel_map}"] if sink.channel_map else []
     return [f"rate={sink.samplerate}", f"channels={sink.channels}", *names]
-
-
-def _belong_together(one: Sink | Stream, other: Stream) -> bool:
-    group, others = (each.properties.get("node.link-group") for each in (one, other))
-    same_module = one.module is not None and one.module == other.module
-    return same_module or (group is not None and group == others)

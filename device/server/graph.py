@@ -70,9 +70,8 @@ class Link:
 class Graph:
     """The objects of one server. Not thread-safe: hold `GraphWatch.lock`.
 
-    nodes, ports, links: by id. version: the server's version, "" while unknown. clock_hz: the
-    server's configured sample rate, 0 while unknown. settings: of the server, by
-    PipeWire's names.
+    nodes, ports, links: by id. version: of the server, "" while unknown. clock_hz: its configured
+    sample rate, 0 while unknown. settings: of the server, by PipeWire's names.
     """
 
     def __init__(self) -> None:
@@ -135,8 +134,7 @@ class Graph:
     def ports_of(self, node_id: int, prefix: str = "") -> dict[str, int]:
         """Return {rest of the name: id} for those ports of a node whose names begin with prefix."""
         ports = (self.ports[port_id] for port_id in self._ports_of.get(node_id, ()))
-        start = len(prefix)
-        return {port.name[start:]: port.id for port in ports if port.name.startswith(prefix)}
+        return {port.name[len(prefix) :]: port.id for port in ports if port.name.startswith(prefix)}
 
     def declared_s(self, sink: str, cycle_frames: int, samplerate: int) -> float | None:
         """Return the delay in s that a sink declares, None if the sink is unknown.
@@ -172,7 +170,13 @@ class Graph:
     def _apply_one(self, item: Mapping[str, Any]) -> None:
         number, kind, info = item["id"], str(item.get("type", "")), item.get("info")
         if kind.endswith(":Metadata"):
-            self._read_settings(item)
+            if (item.get("props") or {}).get("metadata.name") == "settings":
+                found = {one.get("key"): one.get("value") for one in item.get("metadata") or ()}
+                self.settings = found
+                forced_hz, usual_hz = (
+                    _number(found.get(f"clock.{name}")) for name in ("force-rate", "rate")
+                )
+                self.clock_hz = max(0, forced_hz if forced_hz > 0 else usual_hz)
             return
         if not isinstance(info, dict):
             self._forget(number)
@@ -198,13 +202,6 @@ class Graph:
         elif kind.endswith(":Core"):
             self.version = str(info.get("version", self.version))
         self._serials[number] = _serial(item)
-
-    def _read_settings(self, item: Mapping[str, Any]) -> None:
-        if (item.get("props") or {}).get("metadata.name") == "settings":
-            found = {one.get("key"): one.get("value") for one in item.get("metadata") or ()}
-            self.settings = found
-            forced_hz = _number(found.get("clock.force-rate"))
-            self.clock_hz = max(0, forced_hz if forced_hz > 0 else _number(found.get("clock.rate")))
 
     def _put(self, table: dict[int, Any], new: Node | Port | Link) -> None:
         """Store an object; it replaces any object with the same id, even of another kind."""

@@ -205,8 +205,7 @@ _ENDS = {"link." + end.removesuffix("-id").replace("-", "."): end for end in LIN
 class Announcements:
     """Reads the objects that `pw-cli --monitor` prints, sooner than `pw-dump` prints them.
 
-    `pw-dump` waits until it knows all properties of an object. `pw-cli` prints both ends of a link
-    at once.
+    `pw-dump` waits for all properties of an object. `pw-cli` prints both ends of a link at once.
     """
 
     def __init__(self, file: int) -> None:

@@ -86,11 +86,6 @@ class StreamPlacement:
             return replace(self, device=None, unsettled=event.number)
         return self
 
-    def may_be_back(self, event: Event) -> bool:
-        """Whether this event reports a new stream while ours is missing, so that it may be ours."""
-        stream = "sink_input" if self.plays else "source_output"
-        return self.stream is None and event.facility == stream and event.kind == "new"
-
     def after_snapshot(self, snapshot: ServerSnapshot) -> "StreamPlacement":
         """Return a copy updated by a snapshot, unless it is older than the event `unsettled`."""
         if snapshot.events < self.unsettled:
@@ -160,7 +155,10 @@ class StreamGuard(Listener):
         """Silence the stream at once if this event may have moved it."""
         self._judge(lambda: self._placement.after_event(event))
         placement = self._placement
-        return placement.unsettled == event.number or placement.may_be_back(event)
+        facility = "sink_input" if placement.plays else "source_output"
+        # a new stream while ours is missing may be ours
+        is_new = placement.stream is None and (event.facility, event.kind) == (facility, "new")
+        return placement.unsettled == event.number or is_new
 
     def on_snapshot(self, snapshot: ServerSnapshot) -> None:
         """Check whether the stream is on its own device."""
@@ -200,8 +198,8 @@ class FallbackSink:
         try:
             if "module-intended-roles" not in connection.modules().values():
                 self._modules.append(connection.load_module("module-intended-roles"))
-            modules = {sink.name: sink.module for sink in snapshot.sinks}
-            left = modules.get(FALLBACK_SINK)
+            sink = snapshot.sink(FALLBACK_SINK)
+            left = sink.module if sink else None
             if left is None:
                 known = f"device.description=Haptic-Cushion-(silent) device.intended_roles={ROLE}"
                 arguments = (f"sink_name={FALLBACK_SINK}", f'sink_properties="{known}"')

@@ -54,7 +54,11 @@ class LeftOut:
         names = (stream.application.casefold(), stream.binary.casefold())
         if any(fnmatchcase(name, one) for name in names for one in _VOICE_PROGRAMS):
             return CALL
-        if stream.role or _requested_s(stream) >= FILM_LATENCY_S:
+        # the latency that the stream requests from PipeWire, 0 if unknown
+        frames, _, rate_hz = stream.properties.get("node.latency", "").partition("/")
+        known = frames.isdecimal() and rate_hz.isdecimal() and int(rate_hz) > 0
+        requested_s = int(frames) / int(rate_hz) if known else 0.0
+        if stream.role or requested_s >= FILM_LATENCY_S:
             return ""
         return next(filter(None, (_browser_call(stream, one) for one in microphones)), "")
 
@@ -89,10 +93,3 @@ def _browser_call(stream: Stream, microphone: Stream) -> str:
         return MIXED
     one = (stream.application, stream.media)
     return CALL if one == (microphone.application, microphone.media) else ""
-
-
-def _requested_s(stream: Stream) -> float:
-    """Return the latency in s that a stream requests from PipeWire, 0 if unknown."""
-    frames, _, rate_hz = stream.properties.get("node.latency", "").partition("/")
-    known = frames.isdecimal() and rate_hz.isdecimal() and int(rate_hz) > 0
-    return int(frames) / int(rate_hz) if known else 0.0

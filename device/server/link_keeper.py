@@ -58,8 +58,22 @@ class LinkKeeper:
         properties = "{ link.passive=true object.linger=false }"
         for output_id, input_id in wanted - present:
             self._ask(f"create-link -1 {output_id} -1 {input_id} {properties}", now_s)
-        self._make_nodes(self.wiring.made_nodes(), now_s)
-        self._note_times(wanted, present, now_s)
+        made = self.wiring.made_nodes()
+        self._made.update(made)
+        for name in self._made:
+            found = list(graph.nodes_named(name))
+            if name in made and not found:
+                self._ask(made[name], now_s)
+            for node in found[name in made :]:  # a busy server may have made two nodes
+                self._ask(f"destroy {node.id}", now_s)
+        missing, there = self._missing_s, self._present_s
+        self._present_s = {pair: there.get(pair, now_s) for pair in wanted & present}
+        self._missing_s = {
+            pair: missing.get(pair, now_s)
+            for pair in wanted
+            if now_s - self._present_s.get(pair, now_s) < HOLDS_S
+            and (pair not in present or pair in missing)
+        }
         self._renew_paused(links.values(), now_s)
 
     def missing(self, pairs: Set[LinkPair]) -> Set[LinkPair]:
@@ -70,29 +84,10 @@ class LinkKeeper:
         """Return the longest time in s for which one of these wanted links has been missing."""
         return max((now_s - self._missing_s.get(pair, now_s) for pair in pairs), default=0.0)
 
-    def _make_nodes(self, made: Mapping[str, str], now_s: float) -> None:
-        self._made.update(made)
-        for name in self._made:
-            nodes = list(self._graph.nodes_named(name))
-            if name in made and not nodes:
-                self._ask(made[name], now_s)
-            for node in nodes[name in made :]:  # a busy server may have made two nodes
-                self._ask(f"destroy {node.id}", now_s)
-
     def _ask(self, command: str, now_s: float) -> None:
         if command not in self._asked_s:
             self._asked_s[command] = now_s
             self._send(command)
-
-    def _note_times(self, wanted: Set[LinkPair], present: Set[LinkPair], now_s: float) -> None:
-        missing, there = self._missing_s, self._present_s
-        self._present_s = {pair: there.get(pair, now_s) for pair in wanted & present}
-        self._missing_s = {
-            pair: missing.get(pair, now_s)
-            for pair in wanted
-            if now_s - self._present_s.get(pair, now_s) < HOLDS_S
-            and (pair not in present or pair in missing)
-        }
 
     def _renew_paused(self, links: Collection[Link], now_s: float) -> None:
         """Remove links that the server has left paused; a later update makes them again."""

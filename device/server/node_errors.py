@@ -33,12 +33,18 @@ class NodeErrors:
         if self.process is None:
             if self._may_ask and names and now_s - self._due_s >= INTERVAL_S:
                 self._due_s = now_s
-                self._ask()
+                try:
+                    memory = os.fdopen(memory_file("pw-top"), "r+b")
+                    self._printed = self._look.enter_context(memory)
+                    self.process = started(COMMAND, stdout=self._printed.fileno())
+                    self._look.callback(end, self.process)
+                except OSError:
+                    self._may_ask = False
+                    self.close()
         elif (code := self.process.poll()) is not None:
             self._may_ask = code == 0
             self._printed.seek(0)
-            listing = self._printed.read().decode(errors="replace")
-            self._counts.update(errors_in(listing, names))
+            self._counts.update(errors_in(self._printed.read().decode(errors="replace"), names))
             self.close()
 
     def count(self, suffix: str) -> int | None:
@@ -51,15 +57,6 @@ class NodeErrors:
         """End a running `pw-top`. May be repeated."""
         self.process = None
         self._look.close()
-
-    def _ask(self) -> None:
-        try:
-            self._printed = self._look.enter_context(os.fdopen(memory_file("pw-top"), "r+b"))
-            self.process = started(COMMAND, stdout=self._printed.fileno())
-            self._look.callback(end, self.process)
-        except OSError:
-            self._may_ask = False
-            self.close()
 
 
 def errors_in(listing: str, names: Collection[str]) -> dict[str, int]:

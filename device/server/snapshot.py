@@ -163,7 +163,10 @@ def take_snapshot(pulse: Any, events: int, known: ServerSnapshot | None = None) 
     else:
         sinks = tuple(_sink(sink, kind) for sink in pulse.sink_list())
         names = {sink.index: sink.name for sink in sinks}
-        sources = tuple(_source(source, names) for source in pulse.source_list())
+        sources = tuple(
+            Source(monitor_of=names.get(one.monitor_of_sink), volume=_loudest(one), **_device(one))
+            for one in pulse.source_list()
+        )
     sink_names = {sink.index: sink.name for sink in sinks}
     source_names = {source.index: source.name for source in sources}
     playing = tuple(_stream(item, item.sink, sink_names) for item in sink_inputs)
@@ -193,11 +196,6 @@ def _sink(item: Any, kind: str) -> Sink:
         flat_volumes=bool(item.flags & FLAT_VOLUMES),
         **_device(item),
     )
-
-
-def _source(item: Any, sink_names: Mapping[int, str]) -> Source:
-    sink_name = sink_names.get(item.monitor_of_sink)
-    return Source(monitor_of=sink_name, volume=_loudest(item), **_device(item))
 
 
 def _device(item: Any) -> dict[str, Any]:

@@ -19,7 +19,6 @@ from pathlib import Path
 
 PRIORITY, NICE = 10, -11  # sound servers usually have priority 20 or more, and nice level -11
 SPIN_S, KILL_S = 0.2, 2.0  # limits of uninterrupted CPU time
-THREADS_MAX = 64  # number of remembered threads; older threads belong to closed streams
 
 
 class AudioPriority:
@@ -34,13 +33,22 @@ class AudioPriority:
         self.wanted = self._revoked = False
         self.round = 0
         self.warning = ""
-        self._threads: deque[int] = deque(maxlen=THREADS_MAX)
+        self._threads: deque[int] = deque(maxlen=64)  # older threads belong to closed streams
         self.set_wanted(wanted)
 
     def set_wanted(self, wanted: bool) -> None:
         """Allow `claim`, or undo it for all threads. Only the main thread may call this."""
-        if wanted and not self.wanted:
-            _set_limits()
+        if wanted and not self.wanted:  # raise the soft limits, and limit uninterrupted CPU time
+            for limit in (resource.RLIMIT_RTPRIO, resource.RLIMIT_NICE):
+                hard = resource.getrlimit(limit)[1]
+                with suppress(OSError, ValueError):
+                    resource.setrlimit(limit, (hard, hard))
+            _, hard = resource.getrlimit(resource.RLIMIT_RTTIME)
+            kill_us = int(KILL_S * 1e6)
+            most_us = kill_us if hard == resource.RLIM_INFINITY else min(hard, kill_us)
+            least_us = min(int(SPIN_S * 1e6), most_us)
+            with suppress(OSError, ValueError):
+                resource.setrlimit(resource.RLIMIT_RTTIME, (least_us, most_us))
         self.wanted, self._revoked = wanted, False
         if not wanted:
             self._drop_priorities()
@@ -114,19 +122,6 @@ def _nicer() -> bool:
                     os.setpriority(os.PRIO_PROCESS, 0, level)
                 return True
     return False
-
-
-def _set_limits() -> None:
-    """Raise the soft limits of priorities to their hard limits. Limit uninterrupted CPU time."""
-    for limit in (resource.RLIMIT_RTPRIO, resource.RLIMIT_NICE):
-        hard = resource.getrlimit(limit)[1]
-        with suppress(OSError, ValueError):
-            resource.setrlimit(limit, (hard, hard))
-    _, hard = resource.getrlimit(resource.RLIMIT_RTTIME)
-    kill_us = int(KILL_S * 1e6)
-    most_us = kill_us if hard == resource.RLIM_INFINITY else min(hard, kill_us)
-    with suppress(OSError, ValueError):
-        resource.setrlimit(resource.RLIMIT_RTTIME, (min(int(SPIN_S * 1e6), most_us), most_us))
 
 
 RELEASE_LIMIT_S = 0.05  # several callback periods; a stream with longer gaps has stopped

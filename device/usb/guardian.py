@@ -1,8 +1,7 @@
 """A child process that attaches a device's driver again when its parent ends or closes a pipe.
 
-The process reads lines of JSON from standard input until the end of the input. Then it restores the
-settings in the last complete line and attaches the driver. An error is printed as one line on
-standard output.
+The process reads lines of JSON from standard input. At the end, it restores the settings in the
+last complete line and attaches the driver. An error is printed as one line on standard output.
 """
 
 import json

@@ -5,7 +5,7 @@ No device matches if other properties contradict card or ids, or if several devi
 """
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 from device.server.identity import identity_of
 from device.server.snapshot import Sink
@@ -13,7 +13,6 @@ from device.usb.identity import UsbIdentity, is_server_serial, udev_serial
 from device.usb.sysfs import UsbAudioDevice
 
 _CARD_KEYS = ("alsa.card", "api.alsa.pcm.card", "api.alsa.card")
-_PCM_KEYS = ("api.alsa.path", "device.string")
 
 _PORT_FOLDER = re.compile(r"/(\d+-\d+(?:\.\d+)*)(?=/|$)")
 _BUS_PATH = re.compile(r"-usb(?:v\d)?-\d+:(?P<chain>[\d.]+):")
@@ -29,8 +28,7 @@ def hw_names(device: UsbAudioDevice) -> tuple[str, ...]:
 def card_of_name(name: str) -> str:
     """Return the number or id of the card in an ALSA or PortAudio name; "" if there is none.
 
-    The result is "1" for "hw:1,0" and "DAC: USB Audio (hw:1,0)", and "DAC" for
-    "plughw:CARD=DAC,DEV=0".
+    It is "1" for "hw:1,0" and "DAC: USB Audio (hw:1,0)", "DAC" for "plughw:CARD=DAC,DEV=0".
     """
     match = _IN_BRACKETS.search(name) or _PCM_NAME.fullmatch(name)
     return match["card"] if match else ""
@@ -53,7 +51,10 @@ def device_of_sink(sink: Sink, devices: Iterable[UsbAudioDevice]) -> UsbAudioDev
         folder = f"{place.removeprefix('/sys')}/"
         above = [device for device in known if folder.startswith(f"{device.path}/")]
         return max(above, key=lambda device: len(device.path), default=None)
-    if card := _card_of(sink.properties):
+    properties = sink.properties
+    numbers = [properties.get(key, "") for key in _CARD_KEYS]
+    names = [card_of_name(properties.get(key, "")) for key in ("api.alsa.path", "device.string")]
+    if card := next(filter(None, numbers + names), ""):
         device = device_of_card(card, known)
         return device if device is not None and _agrees(sink, device) else None
     identity = identity_of(sink)
@@ -79,12 +80,6 @@ def port_of_sink(sink: Sink) -> str:
     """Return the USB port of a sink's device, such as "1-2.3"; "" if unknown."""
     ports = _PORT_FOLDER.findall(sink.properties.get("sysfs.path", ""))
     return str(ports[-1]) if ports else ""
-
-
-def _card_of(properties: Mapping[str, str]) -> str:
-    numbers = [properties.get(key, "") for key in _CARD_KEYS]
-    names = [card_of_name(properties.get(key, "")) for key in _PCM_KEYS]
-    return next(filter(None, numbers + names), "")
 
 
 def _agrees(sink: Sink, device: UsbAudioDevice) -> bool:

@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from device.alsa import find_playback
 from device.alsa.cards import find_owner
@@ -36,6 +35,8 @@ def take_over(device: UsbAudioDevice, *, root: Path = ROOT) -> Iterator[UsbContr
     """
     _refuse_busy(device, root)
     playback, handle = playback_of(device), open_device(device)
+    import usb.core
+
     control = UsbControl(device, playback, handle)
     numbers = [each.number for each in device.interfaces if each.driver in held_by(device)]
     guardian = _Guardian(device, root)
@@ -44,7 +45,15 @@ def take_over(device: UsbAudioDevice, *, root: Path = ROOT) -> Iterator[UsbContr
     try:
         # Query all interfaces, even without a driver: this fails if the device may not be opened.
         for interface in device.interfaces:
-            _detach(device, handle, interface.number)
+            try:
+                if handle.is_kernel_driver_active(interface.number):
+                    handle.detach_kernel_driver(interface.number)
+            except usb.core.USBError as error:
+                raise UsbAccessError(
+                    f"{device.label!r} at {device.node} cannot be opened, or taken from its driver "
+                    f"({error}); `cushion install-service --udev` prints a rule that gives the "
+                    "permission"
+                ) from None
         guardian.guard(control.state(), numbers)
         yield control
     finally:
@@ -53,7 +62,14 @@ def take_over(device: UsbAudioDevice, *, root: Path = ROOT) -> Iterator[UsbContr
     if trouble:
         raise UsbAccessError(trouble)
     if numbers and device.cards:
-        _await_card(device, root)
+        nap = threading.Event()
+        for _ in range(round(_RETURNS_S / _POLL_S)):  # the card's number may differ then
+            if any(each.port == device.port and each.cards for each in find_devices(root).devices):
+                return
+            nap.wait(_POLL_S)
+        raise UsbAccessError(
+            f"the sound card of {device.label!r} did not come back; plug it in again"
+        )
 
 
 class _Guardian:
@@ -98,26 +114,3 @@ def _refuse_busy(device: UsbAudioDevice, root: Path) -> None:
                 raise UsbAccessError(
                     f"{device.label!r} is in use by {user}; end that program, then take it over"
                 )
-
-
-def _detach(device: UsbAudioDevice, handle: Any, number: int) -> None:
-    import usb.core
-
-    try:
-        if handle.is_kernel_driver_active(number):
-            handle.detach_kernel_driver(number)
-    except usb.core.USBError as error:
-        raise UsbAccessError(
-            f"{device.label!r} at {device.node} cannot be opened, or taken from its driver "
-            f"({error}); `cushion install-service --udev` prints a rule that gives the permission"
-        ) from None
-
-
-def _await_card(device: UsbAudioDevice, root: Path) -> None:
-    """Wait until the device has a sound card again; the card's number may differ."""
-    nap = threading.Event()
-    for _ in range(round(_RETURNS_S / _POLL_S)):
-        if any(each.port == device.port and each.cards for each in find_devices(root).devices):
-            return
-        nap.wait(_POLL_S)
-    raise UsbAccessError(f"the sound card of {device.label!r} did not come back; plug it in again")

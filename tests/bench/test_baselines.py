@@ -1,5 +1,3 @@
-"""Baselines: each does what its name says, streams, and makes nothing out of nothing."""
-
 import numpy as np
 import pytest
 

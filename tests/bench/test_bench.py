@@ -1,5 +1,3 @@
-"""The bench: its measures find what was put in, its rows are complete, and nothing is hidden."""
-
 import json
 import math
 import os
@@ -11,8 +9,6 @@ import numpy as np
 import pytest
 from scipy.fft import rfft
 
-from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.principal import Principals
 from tests.support import soak
 from tests.support.bench_runs import LEAST
@@ -23,7 +19,7 @@ from tools.bench.figures import pictures
 from tools.bench.machine import MachineFacts
 from tools.bench.measures import vibration as measures
 from tools.bench.report import BenchReport, Missing, Must, Row, Section, number
-from tools.bench.sections import mixing, savings, scaling
+from tools.bench.sections import mixing, scaling
 from tools.bench.sounds.real_sounds import sounds_folder
 from tools.bench.sounds.signals import tone
 from tools.records import PROJECT_ROOT
@@ -244,12 +240,6 @@ def test_every_bench_gives_rows_that_stand_in_whole_tables_under_what_they_mean(
     assert shares[0] == 0.0
     assert shares == sorted(shares)
     assert TOLD[-1] == ("done", 1.0)
-
-
-@pytest.mark.parametrize("saving", savings.SAVINGS, ids=lambda saving: saving.name)
-def test_a_saving_is_switched_off_by_another_design(saving):
-    design = LiveDesign.of(TransformParameters(), RATE)
-    assert saving.switch_off(design) != design
 
 
 @pytest.mark.parametrize(("tracks", "samplerate"), [(1, RATE), (8, RATE), (3, 44_100)])

@@ -1,7 +1,9 @@
-"""The bench where something is not there: what, in every section, and an exit code that tells."""
+"""The bench where something is not there, in every section, and its pictures of what there is."""
 
 import csv
 import json
+import os
+import sys
 from typing import Any
 
 import fastjsonschema
@@ -11,6 +13,7 @@ from tests.support.bench_runs import a_bench, bench_command, broken, fine, run_b
 from tests.support.commands import noise, sound
 from tests.support.recordings import require_recordings
 from tools.bench import workbench
+from tools.bench.figures.pictures import PICTURES, shown_in
 from tools.bench.machine import machine_facts
 from tools.bench.report import BenchReport, Missing, Must, Row, Section
 from tools.bench.sections import comparison, fidelity, kept_records, savings, speed
@@ -60,15 +63,6 @@ def test_what_is_missing_is_named_and_the_rest_is_printed(monkeypatch, tmp_path)
     assert "Not measured: two: it is gone" in run.stdout
     assert "fetch it" in run.stdout
     assert not page.exists()
-
-
-def test_json_with_something_missing_is_still_one_document_by_the_schema(monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    run = run_benches(monkeypatch, "--json", broken=broken, works=fine)
-    assert (run.code, list(tmp_path.iterdir())) == (2, [])
-    report = json.loads(run.stdout)
-    fastjsonschema.validate(SCHEMA, report)
-    assert [len(section["missing"]) for section in report["sections"]] == [1, 0]
 
 
 @pytest.fixture
@@ -180,11 +174,18 @@ def test_a_file_that_cannot_be_written_is_refused_before_anything_is_measured(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_json_writes_no_file(monkeypatch, tmp_path):
+def test_json_is_one_document_by_the_schema_even_if_something_is_missing_and_no_file(
+    monkeypatch, tmp_path
+):
     monkeypatch.chdir(tmp_path)
-    done = run_benches(monkeypatch, "--json", works=fine)
-    assert (done.code, done.stderr) == (0, "")
-    assert json.loads(done.stdout)["sections"][0]["title"] == "Fine"
+    for benches, code in (({"works": fine}, 0), ({"broken": broken, "works": fine}, 2)):
+        done = run_benches(monkeypatch, "--json", **benches)
+        assert (done.code, not done.stderr) == (code, not code)
+        report = json.loads(done.stdout)
+        fastjsonschema.validate(SCHEMA, report)
+        missing = [len(section["missing"]) for section in report["sections"]]
+        assert missing == [1] * bool(code) + [0]
+    assert report["sections"][-1]["title"] == "Fine"
     for option in ("--out", "--plots", "--tables"):
         assert bench_command("--json", option, tmp_path / "new").code == 2
     assert list(tmp_path.iterdir()) == []
@@ -201,3 +202,58 @@ def test_the_tables_hold_every_row_as_json_and_as_csv(monkeypatch, tmp_path):
         assert (line["section"], line["row"]) == (section["title"], row["name"])
         assert float(line["value"] or "nan") == pytest.approx(row["value"] or 0.0, rel=1e-5)
         assert line["met"] == {None: "", True: "yes", False: "no"}[row["met"]]
+
+
+SERIES = {"live": (6.0, 7.0, 8.0, 9.5), "reference": (20.0, 35.0, 50.0, 58.0)}
+"""What the picture of lags is drawn from: single lags in ms, for both forms."""
+
+
+def lags(_):
+    return Section("Onset lag", "How soon it is felt.", (Row("lag", 8.0, "ms"),), series=SERIES)
+
+
+def ran(monkeypatch, page, folder, measure=lags):
+    return run_benches(monkeypatch, "--out", page, "--plots", folder, lag=measure)
+
+
+@pytest.fixture
+def drawing():
+    if os.environ.get("CI") != "true":
+        pytest.importorskip("matplotlib")
+
+
+def test_a_page_shows_the_pictures_of_its_folder_in_their_section(drawing, monkeypatch, tmp_path):
+    (tmp_path / "pages").mkdir()
+    assert ran(monkeypatch, tmp_path / "pages" / "page.md", tmp_path / "my images").code == 0
+    assert "![" not in (tmp_path / "pages" / "page.md").read_text("utf-8")
+    done = ran(monkeypatch, tmp_path / "page.md", tmp_path / "my images")
+    assert done.code == 0
+    page = (tmp_path / "page.md").read_text("utf-8")
+    assert "## Onset lag\n\nHow soon it is felt.\n\n![" in page
+    assert "](my%20images/lag.png)\n\n|" in page
+    assert page in done.stdout
+    assert [path.name for path in (tmp_path / "my images").iterdir()] == ["lag.png"]
+    assert (tmp_path / "my images" / "lag.png").stat().st_size < 100_000
+
+
+def test_what_could_not_be_measured_has_no_picture(drawing, monkeypatch, tmp_path):
+    assert ran(monkeypatch, tmp_path / "page.md", tmp_path / "images", broken).code == 2
+    assert list((tmp_path / "images").iterdir()) == []
+
+
+def test_without_matplotlib_that_is_told_before_anything_is_measured(monkeypatch, tmp_path):
+    measured: list[object] = []
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    done = ran(monkeypatch, tmp_path / "page.md", tmp_path / "images", measured.append)
+    assert done.code == 2
+    assert "matplotlib is not installed" in done.stderr
+    assert measured == []
+    assert not (tmp_path / "page.md").exists()
+
+
+def test_every_picture_has_its_own_section_and_says_what_it_shows(tmp_path):
+    assert len({picture.section for picture in PICTURES}) == len(PICTURES)
+    drawn = [tmp_path / "images" / picture.file_name for picture in PICTURES]
+    assert set(shown_in(tmp_path / "page.md", drawn)) == {picture.section for picture in PICTURES}
+    assert all(picture.says and "]" not in picture.says for picture in PICTURES)

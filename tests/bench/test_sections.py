@@ -1,5 +1,6 @@
 """Single sections: bounds and growth, and measures on sounds and motions that are known."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -7,14 +8,21 @@ import pytest
 
 from audioflinger_hook.config.profiles import parameters_of
 from audioflinger_hook.transform import TransformParameters
+from audioflinger_hook.transform.design import synthesis
+from audioflinger_hook.transform.design.synthesis import LiveGrid
 from device.rig import PAPER
 from device.rig.adaptive_actuator import AdaptiveActuator, BlockReport
-from tests.support.signals import joined, tone
-from tools.bench.sections import frequency_error, scaling
+from tests.support import signals
+from tools.bench.baselines import BASELINES
+from tools.bench.measures import similarity
+from tools.bench.report import Row
+from tools.bench.sections import comparison, frequency_error, frontier, scaling
 from tools.bench.sections.frequency_error import RANGES_HZ, SAMPLERATES, bound_hz
+from tools.bench.sections.frontier import COST, LAG, LEAK
+from tools.bench.sections.frontier_settings import DEFAULT, SETTINGS, Setup, constants_changed, hop
 from tools.bench.sections.model_selection import block_errors
 from tools.bench.sections.profiles import Way, loudest_db, units_db
-from tools.bench.sounds.signals import SAMPLERATE
+from tools.bench.sounds.signals import SAMPLERATE, Recording, tone, white_noise
 from tools.bench.workbench import LIVE, QUICK, REFERENCE, SUBJECTS, Workbench
 
 
@@ -43,12 +51,9 @@ def test_no_form_beats_the_bound_and_the_live_form_keeps_the_limit_at_every_samp
     assert all(row.met for row in asked)
 
 
-LEAST = Workbench(replace(QUICK, rig_s=1.0), SUBJECTS, ())
-
-
 @pytest.mark.exhaustive
 def test_growth_is_told_as_ratios_of_one_run_with_an_exponent_each():
-    section = scaling.rig_scaling(LEAST)
+    section = scaling.rig_scaling(Workbench(replace(QUICK, rig_s=1.0), SUBJECTS, ()))
     columns = {row.column for row in section.rows}
     assert len(columns) == 3
     for column in columns:
@@ -72,18 +77,136 @@ def test_a_blocks_error_is_the_larger_one_over_its_own_peak():
 
 
 def test_a_full_scale_tone_has_every_level_at_0_db_and_the_loudest_tenth_is_a_short_loud_part_s():
-    sound = tone(1_000, 1.0, SAMPLERATE)
+    sound = signals.tone(1_000, 1.0, SAMPLERATE)
     assert units_db(sound) == pytest.approx(np.zeros(21), abs=0.05)
     assert loudest_db(sound) == pytest.approx(0.0, abs=0.05)
-    sound = joined(tone(300, 9.0, SAMPLERATE, 0.01), tone(300, 1.0, SAMPLERATE, 0.5))
+    sound = signals.joined(
+        signals.tone(300, 9.0, SAMPLERATE, 0.01), signals.tone(300, 1.0, SAMPLERATE, 0.5)
+    )
     assert loudest_db(sound) == pytest.approx(-6.0, abs=0.2)
 
 
 def test_a_settled_sound_has_its_own_length_and_knows_what_was_played_before():
-    sound, cinema = tone(440, 0.7, SAMPLERATE, 0.05), Way("cinema", parameters_of("cinema"))
+    sound, cinema = signals.tone(440, 0.7, SAMPLERATE, 0.05), Way("cinema", parameters_of("cinema"))
     fresh, settled = cinema.settled(sound, 0.0), cinema.settled(sound, 8.0)
     assert fresh.size == settled.size == sound.size
     # The programme's level has moved, and a sound that goes on has no onset.
     assert settled.tobytes() != fresh.tobytes()
     paper = Way("paper", TransformParameters())
     assert paper.settled(sound, 8.0).tobytes() == paper.felt(sound)[: sound.size].tobytes()
+
+
+def gated(frequency_hz, period_s=0.5, duration_s=3.0):
+    time_s = np.arange(round(duration_s * SAMPLERATE)) / SAMPLERATE
+    return tone(frequency_hz, 0.3, duration_s) * (time_s % period_s < 0.5 * period_s)
+
+
+def test_an_envelope_that_comes_later_is_the_same_and_a_steady_one_has_nothing_of_it():
+    def correlation(vibration):
+        return similarity.envelope_correlation(gated(1_000.0), vibration, SAMPLERATE)
+
+    assert correlation(np.roll(gated(100.0), round(0.04 * SAMPLERATE))) > 0.98
+    assert abs(correlation(tone(100.0, 0.3, 3.0))) < 0.1
+    assert correlation(np.zeros(3 * SAMPLERATE)) == 0.0
+
+
+def test_the_felt_spectrum_has_the_level_of_a_tone_and_tones_apart_share_nothing():
+    _, power = similarity.felt_spectrum(tone(100.0, 0.5, 1.0) + tone(1_000.0, 0.5, 1.0), SAMPLERATE)
+    assert similarity.level_db(power.sum()) == pytest.approx(20.0 * math.log10(0.5), abs=0.05)
+    low, high, heard = (tone(hz, 0.3, 1.0) for hz in (100.0, 180.0, 1_000.0))
+    assert similarity.spectral_distance(low, high, SAMPLERATE) == pytest.approx(1.0, abs=0.01)
+    assert similarity.spectral_distance(low, 0.1 * low, SAMPLERATE) == pytest.approx(0.0, abs=1e-9)
+    assert similarity.spectral_distance(low, heard, SAMPLERATE) is None
+
+
+def test_a_baseline_wins_exactly_where_its_row_is_better():
+    rows = [
+        Row(comparison.COST, 2.0, "ms", LIVE),
+        Row(comparison.COST, 1.0, "ms", "band-pass"),
+        Row(comparison.COST, 3.0, "ms", "centroid"),
+        Row(comparison.CORRELATION, 0.5, "", LIVE),
+        Row(comparison.CORRELATION, 0.4, "", "band-pass"),
+        Row(comparison.LAG_P95, 9.0, "ms", LIVE),
+        Row(comparison.LAG_P95, None, "ms", "band-pass", note="none perceived"),
+    ]
+    verdict = comparison.where_baselines_win(rows)
+    assert verdict.startswith("Rows in which a baseline beats the live form:\n")
+    assert f"- {comparison.COST} (band-pass 1 against 2 ms)" in verdict
+    assert "centroid" not in verdict
+    assert comparison.CORRELATION not in verdict
+    assert comparison.LAG_P95 not in verdict
+    dearer = [row for row in rows if row.column != "band-pass"]
+    assert "No baseline" in comparison.where_baselines_win(dearer)
+
+
+def test_every_way_has_a_value_or_a_reason_in_every_row_and_high_tones_stay_two():
+    recordings = (Recording("noise", "made", white_noise(1.0), SAMPLERATE),)
+    section = comparison.compared(Workbench(QUICK, SUBJECTS, recordings))
+    by_place = {(row.name, row.column): row for row in section.rows}
+    for name in {row.name for row in section.rows}:
+        for column in (LIVE, REFERENCE, *(each.name for each in BASELINES)):
+            row = by_place[name, column]
+            assert row.value is not None or row.note
+    assert set(comparison.CRITERIA) <= {name for name, _ in by_place}
+    # In the live form; a band-pass leaves nothing of them.
+    assert (by_place[comparison.DISTANCE, LIVE].value or 0.0) > 0.9
+    assert by_place[comparison.DISTANCE, "band-pass"].value is None
+
+
+CONSTANTS = ("HOPS_A_WINDOW", "LOW_RATE_HZ", "LOW_PASS")
+
+
+def numbers():
+    return [getattr(synthesis, name) for name in CONSTANTS]
+
+
+def test_the_default_is_the_live_form_to_the_byte():
+    sound = tone(440.0, 0.3, 0.3)
+    (live,) = (subject for subject in SUBJECTS if subject.name == LIVE)
+    ours = Setup(SETTINGS[0]).vibration(sound)
+    assert SETTINGS[0].name == DEFAULT
+    assert ours.tobytes() == live.vibration(sound, SAMPLERATE).tobytes()
+
+
+@pytest.mark.parametrize("setting", SETTINGS[1:], ids=lambda setting: setting.name)
+def test_every_setting_changes_the_form_and_leaves_the_transform_as_it_was(setting):
+    before = numbers()
+    form, plain = Setup(setting).made, Setup(SETTINGS[0]).made
+    assert numbers() == before
+    assert form != plain
+    # Also where a transform cannot be made.
+    with pytest.raises(ZeroDivisionError), constants_changed({"LOW_PASS": None}):
+        _ = 1 / 0
+    assert numbers() == before
+
+
+def test_with_a_shorter_hop_a_chirp_is_followed_nearer_and_without_onsets_less_lag():
+    slow, fast = (Setup(hop(hops)) for hops in (1.0, 8.0))
+    grids = [setup.made.grid for setup in (slow, fast)]
+    assert isinstance(grids[0], LiveGrid)
+    assert grids[0].hop_frames > 7 * grids[1].hop_frames
+    without = [Setup(replace(hop(hops), name="without", onsets=False)) for hops in (1.0, 8.0)]
+    assert frontier._lag_p95_ms(without[1], 2) < frontier._lag_p95_ms(without[0], 2) - 10.0
+    # Onsets wait for no hop.
+    assert frontier._lag_p95_ms(slow, 2) < frontier._lag_p95_ms(without[1], 2) - 10.0
+    assert frontier._chirp_error_hz(fast) < 0.5 * frontier._chirp_error_hz(slow)
+
+
+def test_partials_that_there_is_no_room_for_are_missed_and_none_is_spurious():
+    (few,) = (setting for setting in SETTINGS if setting.name == "4 partials")
+    missed, spurious = frontier._notes(Setup(few))
+    assert missed == pytest.approx(100.0 * (1.0 - 4 / frontier.HARMONICS))
+    assert spurious == 0.0
+    assert frontier._notes(Setup(SETTINGS[0])) == (0.0, 0.0)
+
+
+def test_a_setting_dominates_only_if_it_is_better_in_something_and_worse_in_nothing():
+    default = dict.fromkeys(frontier.UNITS, 1.0)
+    cheaper = default | {COST: 0.5}
+    others = {"traded": cheaper | {LAG: 3.0}, "blurred": default | {COST: 0.95, LEAK: 1.2}}
+    verdict = frontier._verdict({DEFAULT: default} | others)
+    assert "The defaults lie on the frontier: no other setting" in verdict
+    assert "- traded: better in cost 0.500 ms; worse in lag, p95 3 ms" in verdict
+    assert "- blurred: better in nothing; worse in nothing" in verdict
+    verdict = frontier._verdict({DEFAULT: default, "cheaper": cheaper} | others)
+    assert "worse in no column: cheaper." in verdict

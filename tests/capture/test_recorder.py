@@ -1,5 +1,3 @@
-"""Recording from the audio thread: nothing waits, and nothing is lost in silence."""
-
 import errno
 import os
 import sys

@@ -1,5 +1,3 @@
-"""Captures that were cut off or damaged: every whole buffer is read, and none that is not."""
-
 import contextlib
 import errno
 import os
@@ -136,10 +134,7 @@ class Killed(BaseException):
 
 def after_every_write(tmp_path, monkeypatch, error, share, ignored=()):
     """Record SMALL with an error in the first, second, ... write, of which a share is written.
-
-    After `Killed`, nothing more is written. A full disk fails in every later write as well. Yield
-    folder, acknowledged buffers, and what was raised, until no write is left to fail.
-    """
+    Yield folder, acknowledged buffers, and what was raised."""
     pwrite = os.pwrite
     for call in range(1_000):
         left, acknowledged, raised = [call], list[int](), None

@@ -1,5 +1,3 @@
-"""Workers and clients that are killed at random moments: nothing is lost, nothing half."""
-
 import contextlib
 import json
 import os
@@ -11,6 +9,7 @@ import tempfile
 import time
 from concurrent.futures import BrokenExecutor
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -160,7 +159,7 @@ def kill_server():
     time.sleep(60.0)
 
 
-DEATHS = {
+DEATHS: dict[str, tuple[Any, ...]] = {
     batch.DIED: (os._exit, 9),
     batch.ENDED: (os._exit, 1),
     "by SIGKILL, from outside": (signal.raise_signal, signal.SIGKILL),

@@ -1,5 +1,3 @@
-"""Manifests: what is understood, every mistake at once, and a million lines in flat memory."""
-
 import contextlib
 import gzip
 import json
@@ -191,15 +189,8 @@ def test_every_name_of_a_file_becomes_an_id_of_its_own(tmp_path, monkeypatch):
     (tmp_path / "in/link.wav").symlink_to("link.wav")
     found = {item.id for item in items(tmp_path / "in")}
     assert len(found) == len(HARD_NAMES) + 1
-    assert {
-        "a.wav",
-        "a.flac",
-        "a.flac.wav",
-        "b.wav",
-        "b.WAV",
-        "catalogue.wav",
-        "failed.wav",
-    } < found
+    kept = "a.wav a.flac a.flac.wav b.wav b.WAV catalogue.wav failed.wav"
+    assert set(kept.split()) < found
     assert not re.search(r"\.(wav|json|jsonl|hjif)/", " ".join(found))
     assert all(name.isprintable() and len(name.encode()) < 200 for name in found)
     lines = [{"audio": "a.wav"}, {"audio": "a.flac"}, {"audio": "b.wav", "id": "a"}]
@@ -290,10 +281,8 @@ LEAF = 1_000
 
 
 def watched(*arguments, first):
-    """Run `cushion catalogue` on another manifest and then, in the same process, on the last one.
-
-    Return the summary of the latter, the wall time in s and the peak memory in MB after each.
-    """
+    """Run a catalogue of `first` and then, in the same process, of the last argument. Return the
+    summary of the latter, the wall time in s and the peak memory in MB after each."""
     begin_s, prelude = time.perf_counter(), f"FIRST = {str(first)!r}{PEAK_KB}"
     with start("catalogue", "--json", *arguments, prelude=prelude) as process:
         stdout, stderr = process.communicate()

@@ -1,5 +1,3 @@
-"""What a record says about a vibration: its exposure and its course."""
-
 import numpy as np
 import pytest
 

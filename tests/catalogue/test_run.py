@@ -1,5 +1,3 @@
-"""`cushion catalogue`: what is rendered, what is skipped, and what a failure changes."""
-
 import errno
 import json
 import os

@@ -34,7 +34,6 @@ def store(server, tmp_path, request):
     folder = f"{BUCKET}/{request.node.name.partition('[')[0]}"
     local = library(tmp_path / "in")
     files.put(f"{local}/", f"{folder}/in/", recursive=True)
-    application.requests.clear()
     application.failures.clear()
     application.fails = lambda method, path: True
     return application, env, files, folder, local

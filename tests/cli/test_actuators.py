@@ -1,5 +1,3 @@
-"""Several actuators through the commands: what stands in the files of `render` and `replay`."""
-
 import functools
 import re
 

@@ -282,14 +282,6 @@ def test_without_a_command_the_help_ends_with_the_next_step():
     assert "next: `cushion setup`" in done.stdout
 
 
-def test_the_rule_for_usb_devices_needs_no_device(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-    done = call("install-service", "--udev")
-    assert (done.code, done.stderr) == (0, "")
-    assert "70-cushion.rules" in done.stdout
-    assert commands.listing(tmp_path) == {}
-
-
 def test_an_error_is_one_line_whatever_its_words_hold(tmp_path, out):
     assert "does not exist" in refused(call("render", tmp_path / "two\nlines\r.wav", out))
     refused(call("render", "a", "b", "--lo\nud"))
@@ -297,10 +289,8 @@ def test_an_error_is_one_line_whatever_its_words_hold(tmp_path, out):
 
 
 def test_a_fault_of_the_program_is_one_line_and_code_5(source, out, monkeypatch):
-    def divide(*_arguments, **_options):
-        raise ZeroDivisionError("in two\nlines")
-
-    monkeypatch.setattr("audioflinger_hook.cli.render.render_file", divide)
+    fault = Mock(side_effect=ZeroDivisionError("in two\nlines"))
+    monkeypatch.setattr("audioflinger_hook.cli.render.render_file", fault)
     done = call("render", source, out)
     assert (done.code, done.stdout, done.stderr.count("\n")) == (5, "", 1)
     assert done.stderr.startswith("cushion: error: ZeroDivisionError: in two lines; ")

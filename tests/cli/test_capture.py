@@ -1,5 +1,3 @@
-"""`cushion capture` and `cushion replay`: what was heard once is felt again, byte for byte."""
-
 import functools
 import signal
 import time
@@ -142,16 +140,6 @@ def test_at_speed_1_a_replay_takes_as_long_as_its_sound_and_gives_the_same_bytes
     assert len(contents) == 1
 
 
-@pytest.fixture(scope="module")
-def endless(tmp_path_factory):
-    """A sound that takes a capture seconds, and next to no room."""
-    path = tmp_path_factory.mktemp("endless") / "in.flac"
-    with soundfile.SoundFile(path, "w", commands.RATE, 2, "PCM_16", format="FLAC") as file:
-        for _ in range(300):
-            file.write(np.zeros((commands.RATE, 2)))
-    return path
-
-
 def buffers_there(folder):
     index = folder / "index.jsonl"
     return index.read_bytes().count(b'"kind":"buffer"') if index.exists() else 0
@@ -159,12 +147,13 @@ def buffers_there(folder):
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_capture_is_finished_and_replays_without_warning(tmp_path, endless, number):
-    folder = tmp_path / "cap"
-    with commands.start("capture", folder, "--tap", f"file:{endless}") as process:
-        commands.until(
-            lambda: buffers_there(folder) > 1, process
-        )  # the one in writing may be undone
+def test_an_interrupted_capture_is_finished_and_replays_without_warning(tmp_path, number):
+    folder, silence = tmp_path / "cap", np.zeros(600 * commands.RATE, np.int16)
+    # It takes a capture seconds, and next to no room.
+    path = commands.sound(tmp_path / "in.flac", silence, format="FLAC", subtype="PCM_16")
+    with commands.start("capture", folder, "--tap", f"file:{path}") as process:
+        # The one in writing may be undone.
+        commands.until(lambda: buffers_there(folder) > 1, process)
         process.send_signal(number)
         stdout, stderr = process.communicate(timeout=10)
     assert (process.returncode, stdout, stderr) == (130, "", "cushion: interrupted\n")

@@ -1,5 +1,3 @@
-"""What goes wrong around captures: one line, a code, and nothing harmed."""
-
 import json
 
 import numpy as np

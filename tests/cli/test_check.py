@@ -1,5 +1,3 @@
-"""`cushion check`: every mistake of a config at once, each with key, line, value and what goes."""
-
 import json
 import re
 import time
@@ -7,6 +5,7 @@ from importlib.resources import files
 
 import pytest
 
+from audioflinger_hook.config.applications import ApplicationRule
 from audioflinger_hook.config.file import load
 from audioflinger_hook.config.profiles import PROFILES
 from device.drive import ActuatorSettings
@@ -14,17 +13,6 @@ from tests.support.commands import call, document, listing, noise, refused, soun
 
 RIG = (files("device.rig") / "consumer.toml").read_text("utf-8")
 PROFILES_ALLOWED = ", ".join(PROFILES)
-FIVE_MISTAKES = """\
-# A config with five mistakes.
-profile = "loud"
-
-volume = 11
-damping = "on"
-[transform]
-window_s = 9
-partials_max = 2.5  # a whole number is wanted
-band_low_hz = 50
-"""
 
 
 def mistakes(path):
@@ -43,36 +31,16 @@ def mistakes(path):
     return found
 
 
-def test_five_mistakes_are_reported_at_once_with_key_line_value_and_what_is_allowed(config):
-    path = config(FIVE_MISTAKES)
-    expected = [
-        (2, "profile", '"loud"', PROFILES_ALLOWED),
-        (4, "volume", "11", "profile, damping, protection, exposure_cap, rig, model, tolerance"),
-        (5, "damping", '"on"', "off, auto"),
-        (7, "transform.window_s", "9", "0.01 to 0.2 s"),
-        (8, "transform.partials_max", "2.5", "1 to 64"),
-    ]
-    told, done = mistakes(path), call("check", "--config", path, "--json")
-    assert done.code == 2
-    documents = json.loads(done.stdout)
-    assert len(documents) == len(told) == len(expected)
-    whole = zip(documents, told, expected, strict=True)
-    for one, (line, what), (number, key, value, allowed) in whole:
-        assert (one["line"], one["key"], one["value"]) == (line, key, value) == (number, key, value)
-        assert what == f"{key} = {value} {one['problem']}; allowed: {one['allowed']}"
-        assert one["allowed"].startswith(allowed)
-
-
 RANGE = "transform.window_s = 9 is out of range; allowed: 0.01 to 0.2 s"
 WINDOW = "transform.window_s = {} is not a number; allowed: 0.01 to 0.2 s"
-TALL = "transform.band_high_hz = 300 is under twice band_low_hz=200; allowed: at least 400 Hz"
 NO_SECTION = "is not a section; allowed: [transform]"
 FIRST = "[[actuator]]\nchannels = [0]\n"
+RULE = "[[application]]\nmatch = "
+EFFECTS = "; allowed: the path of an audio_effects.xml"
 
 MISTAKES = [
     # live sound
     ("tap = 3", 1, "is not a tap or a list of taps"),
-    ("tap = []", 1, "is an empty list"),
     ('tap = ["default", 3]', 1, "is not a tap or a list of taps"),
     ('tap = ["app:Game", "default"]', 1, "has several taps that are not all applications"),
     ('tap = ""', 1, "has an empty name"),
@@ -115,7 +83,6 @@ MISTAKES = [
         (f"[transform]\namplitude_mapping = {value}", 2, f"{value} is not known; allowed: tonal,")
         for value in ('"loud"', "3", "true", '["energy"]')
     ],
-    ("[transform]\nband_high_hz = 300\nband_low_hz = 200", 2, TALL),
     ('[transform]\ntransform = "Live"', 2, "allowed: live, reference; did you mean live?"),
     ("[transform]\nchannels = true", 2, "is not known; allowed: mono, each"),
     # names, keys, sections
@@ -123,17 +90,12 @@ MISTAKES = [
         (f"profile = {value}", 1, f"is not known; allowed: {PROFILES_ALLOWED}")
         for value in ("3", '"""\nloud\n"""', '"lo\\nud"', '"loud\\u001b[31m"')
     ],
-    ("[tranform]\nwindow_s = 0.05", 1, "tranform is an unknown section; allowed: "),
-    ("[transform]\nwindow = 0.05", 2, "transform.window = 0.05 is an unknown key; allowed: "),
-    ('[transform]\nprofile = "paper"', 2, "transform.profile ="),
-    ("window_s = 0.05", 1, "window_s = 0.05 is an unknown key; allowed: "),
     ("\n'profil' = 'paper'", 2, "is an unknown key; allowed: "),
     ("transform = 3", 1, NO_SECTION),
     ("[[transform]]\nwindow_s = 0.05", 1, NO_SECTION),
     ('exposure_cap = "0.5"', 1, "is not known; allowed: off, action, limit"),
     # rigs
     ('rig = "loud"', 1, "is not known; allowed: paper, consumer, or a file, NAME.toml"),
-    ("\nrig = 3", 2, "is not a name"),
     ('rig = "none.toml"', 1, "cannot be used (cannot read the rig file"),
     ('rig = "bad.toml"', 1, "actuator.moving_mass_kg=-0.18 must be above 0"),
     # actuators
@@ -144,7 +106,7 @@ MISTAKES = [
     ('actuator = [{channels = "0"}]', 1, "actuator[1].channels "),
     *[
         (f"[[actuator]]\nchannels = {value}", 2, f"actuator[1].channels = {value} ")
-        for value in ("[0.0]", "[true]", "[0, 0]", "[32]")
+        for value in ("[0.0]", "[true]", "[32]")
     ],
     (f'{FIRST}source = "middle"', 3, '[1].source = "middle" is not known; allowed: mix, left,'),
     (f"{FIRST}gain_db = 3", 3, "actuator[1].gain_db = 3 is out of range; allowed: -60 to 0 dB"),
@@ -154,11 +116,34 @@ MISTAKES = [
     (f'{FIRST}damping = "on"', 3, 'actuator[1].damping = "on" is not known; allowed: off, auto'),
     (f'{FIRST}polarity = "up"', 3, "is not known; allowed: normal, inverted"),
     (f"{FIRST}delay_ms = 900", 3, "actuator[1].delay_ms = 900 is out of range; allowed: 0 to 500"),
-    (f"{FIRST}volume = 3", 3, "is an unknown key; allowed: channels, source, rig"),
     (f"{FIRST}[[actuator]]\nchannels = [0]", 4, "[2].channels = [0] wants channel 0, which drives"),
     (f"{FIRST}[[ actuator ]]  # no channels", 3, "actuator[2].channels is missing; allowed: a"),
     (f"{FIRST}[[actuator\nchannels = [1]", 3, "[[actuator"),
     (f'{FIRST}[transform]\nchannels = "each"', 4, "cannot be used with actuators; allowed: mono"),
+    # rules of applications
+    *[(f'{RULE}"{match}"', 2, "has a [ without a ]") for match in ("a[", "[a][", "[!]")],
+    *[(f"{RULE}{match}", 2, f"{match} is not a pattern") for match in ('" "', "3")],
+    ("[[application]]\ngain_db = -3", 1, "application[1].match is missing"),
+    (f'{RULE}"a"\nprofile = "nix"', 3, 'application[1].profile = "nix" is not known'),
+    (f'{RULE}"a"\ngain_db = 3', 3, "application[1].gain_db = 3 is out of range"),
+    (f'{RULE}"a"\nfeel = false\ngain_db = -3', 4, "].gain_db = -3 contradicts feel = false"),
+    (f'{RULE}"a"\nfeel = false\nprofile = "game"', 4, '"game" contradicts feel = false'),
+    (f'{RULE}"a"\nlevel = 3', 3, "application[1].level = 3 is an unknown key"),
+    (
+        f'{RULE}"a"\nprofile = "speech"\n[transform]\nband_high_hz = 250',
+        *(3, "does not fit band_high_hz in [transform], which is under twice"),
+    ),
+    (f'{RULE}"mpv"\n{RULE}"MPV"', 4, '[2].match = "MPV" has a rule already, application[1]'),
+    ('[application]\nmatch = "mpv"', 1, "is not an array of tables"),
+    # effects files
+    *[
+        (f"# effects\neffects_file = {value}", 2, f"effects_file = {value} {problem}{EFFECTS}")
+        for value, problem in (
+            *(('"none.xml"', "is not a file"), ('"."', "is not a file")),
+            *(('""', "is not a path"), ("3", "is not a path")),
+        )
+    ],
+    ('effects_file = "a\\u0000b"', 1, f"is not a file{EFFECTS}"),
 ]
 
 
@@ -196,10 +181,11 @@ def test_a_config_without_mistakes_passes(config, text):
 
 
 def test_rendering_with_mistakes_names_the_first_and_how_many_more(config, tmp_path):
-    source, path = sound(tmp_path / "in.wav", noise(3_000)), config(FIVE_MISTAKES)
+    path = config('\nprofile = "loud"\nvolume = 11\n[transform]\nwindow_s = 9\n')
+    source = sound(tmp_path / "in.wav", noise(3_000))
     error = refused(call("render", source, tmp_path / "out.wav", "--config", path))
     assert f'line 2: profile = "loud" is not known; allowed: {PROFILES_ALLOWED}' in error
-    assert "and 4 more" in error
+    assert "and 2 more" in error
     assert listing(tmp_path).keys() == {"in.wav", "config.toml"}
 
 
@@ -230,13 +216,21 @@ def test_a_broken_section_line_does_not_make_its_keys_unknown(config):
     assert found[1][1] == "transform.partials_max = 99 is out of range; allowed: 1 to 64"
 
 
-def test_what_cannot_be_read_as_text_is_refused(config, tmp_path):
-    for content in (b"\xff\xfep\x00r\x00", bytes(range(256))):  # the first is UTF-16
-        assert "is not UTF-8" in refused(call("check", "--config", config(content)))
-    for path, words in ((tmp_path / "none.toml", "No such file"), (tmp_path, "Is a directory")):
-        error = refused(call("check", "--config", path))
-        assert f"cannot be read ({words}" in error
-        assert str(path) in error
+def test_what_cannot_be_read_as_text_is_refused_and_one_mistake_in_a_document(tmp_path):
+    (tmp_path / "utf-16").write_bytes(b"\xff\xfep\x00r\x00")
+    (tmp_path / "bytes").write_bytes(bytes(range(256)))
+    for name, words in {
+        **dict.fromkeys(("utf-16", "bytes"), "is not UTF-8"),
+        "none": "cannot be read (No such file",
+        "": "cannot be read (Is a directory",
+    }.items():
+        error = refused(call("check", "--config", tmp_path / name))
+        assert words in error
+        assert str(tmp_path / name) in error
+        done = call("check", "--config", tmp_path / name, "--json")
+        (found,) = json.loads(done.stdout)
+        assert (done.code, done.stderr) == (2, "")
+        assert found["problem"].startswith(f"{tmp_path / name} ")
 
 
 @pytest.mark.parametrize(
@@ -295,6 +289,15 @@ def test_what_is_not_said_of_an_actuator_is_the_default(config):
     assert settings.sources == ("mix", "left")
 
 
+def test_rules_of_applications_keep_their_order_and_values(config):
+    second = "[[application]]\nmatch = 'mpv'\nfeel = false\n"
+    first = f'{RULE}"super*"\nprofile = "game"\ngain_db = -6\n'
+    live = load(config(f"[live]\nfeel_calls_and_alerts = true\n{first}{second}")).live
+    wanted = ApplicationRule("super*", "game", -6.0), ApplicationRule("mpv", feel=False)
+    assert (live.feel_calls_and_alerts, live.application_rules) == (True, wanted)
+    assert not load(config("")).live.feel_calls_and_alerts
+
+
 @pytest.mark.parametrize("section", ["", "[transform]\n"])
 def test_of_40_000_mistakes_the_first_are_listed_and_the_others_counted(config, section):
     path = config(section + "".join(f"key_{n} = {n}\n" for n in range(40_000)))
@@ -307,14 +310,3 @@ def test_of_40_000_mistakes_the_first_are_listed_and_the_others_counted(config, 
     told = call("check", "--config", path)
     assert told.stderr.count("\n") == len(found)
     assert len(done.stdout) <= 20_000 >= len(told.stderr)
-
-
-@pytest.mark.parametrize("content", [b"\xff\xfe", None])
-def test_a_file_that_cannot_be_read_is_a_mistake_in_one_document(tmp_path, content):
-    path = tmp_path / "config.toml"
-    if content:
-        path.write_bytes(content)
-    done = call("check", "--config", path, "--json")
-    (found,) = json.loads(done.stdout)
-    assert (done.code, done.stderr) == (2, "")
-    assert found["problem"].startswith(f"{path} ")

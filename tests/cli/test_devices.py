@@ -1,16 +1,23 @@
-"""What `cushion devices` takes from the driver where descriptors do not tell."""
+"""What `cushion devices` takes from driver and server, and words for an output that is muted."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from audioflinger_hook.cli.devices import _server
+from audioflinger_hook.cli import devices, test_tone
+from audioflinger_hook.cli.outputs import list_outputs
 from audioflinger_hook.cli.usb_formats import by_setting, format_text, formats_of
-from device.server.snapshot import ServerSnapshot, Stream
+from audioflinger_hook.daemon.outputs.base import DeviceVolume
+from audioflinger_hook.daemon.outputs.sink import SinkOutput
+from device.server import ServerSnapshot
+from device.server.snapshot import Sink
 from device.usb import UsbAudioDevice, find_devices
 from device.usb.descriptors import RateRange, parse_configuration
 from tests.support import usb_builder
+from tests.support.commands import call, refused
+from tests.support.snapshots import snapshot, stream
 from tests.support.sound_cards import ADAPTIVE, ASYNC, Cards
 from tests.support.usb_shapes import SHAPES
 from tests.support.usb_tree import UsbTree
@@ -24,16 +31,14 @@ def device(tmp_path: Path) -> UsbAudioDevice:
 
 
 def test_what_plays_is_applications_alone() -> None:
-    def stream(index: int, application: str, **known: str) -> Stream:
-        return Stream(index, 1, "dac", application, "", "", "", None, False, False, known)
-
+    own = {"application.id": "haptic-cushion"}
     streams = (
-        stream(1, "", **{"node.link-group": "filter-chain-812-7"}),  # the native engine
-        stream(2, "", **{"pulse.module.id": "9"}),  # drop-in mode
-        stream(3, "Haptic Cushion", **{"application.id": "haptic-cushion"}),
-        stream(4, "mpv"),
+        stream(1, properties={"node.link-group": "filter-chain-812-7"}),  # the native engine
+        stream(2, properties={"pulse.module.id": "9"}),  # drop-in mode
+        stream(3, application="Haptic Cushion", properties=own),
+        stream(4, application="mpv"),
     )
-    found = _server(ServerSnapshot("PipeWire", "1.4.2", "", "", (), (), streams, (), 0))
+    found = devices._server(snapshot(sink_inputs=streams))
     assert [application["name"] for application in found["applications"]] == ["mpv"]
 
 
@@ -102,3 +107,51 @@ def test_rates_that_a_clock_was_asked_for_are_those_of_its_formats() -> None:
     found = formats_of(configuration, asked=some)[0]
     assert found["samplerates"] == {"lowest": 44_100, "highest": 96_000}
     assert ", 44.1 to 96 kHz, " in format_text(found, units="kHz")
+
+
+DAC = Sink(2, "dac", "USB DAC", "dac.monitor", 48_000, 2, None, {})
+DOWN = replace(DAC, volume_db=-31.4)
+MUTED = replace(DAC, volume_db=-31.4, mute=True)
+
+
+def seen(sink: Sink, default: str = "speakers") -> ServerSnapshot:
+    return snapshot(default_sink=default, sinks=(sink,))
+
+
+@pytest.mark.parametrize(
+    ("sink", "weakened"),
+    [(DAC, ""), (replace(DAC, volume_db=4.0), ""), (DOWN, "volume 30 %"), (MUTED, "muted")],
+)
+def test_devices_lists_what_makes_an_output_weak(sink, weakened, capsys):
+    assert sink.weakened == weakened
+    devices._show(devices._server(seen(sink)) | {"usb": [], "cards": []})
+    line = capsys.readouterr().out.splitlines()[2].strip()
+    assert line == ", ".join(filter(None, ("USB DAC, 48000 Hz, 2 channels", weakened)))
+
+
+def test_a_test_tone_says_why_it_may_not_be_felt_and_setup_lists_a_muted_output_as_muted() -> None:
+    assert not list(test_tone._warnings(DAC, seen(DAC)))
+    (down,) = test_tone._warnings(DOWN, seen(DOWN))
+    assert "dac has volume 30 %" in down
+    (silent,) = test_tone._warnings(MUTED, seen(MUTED))
+    assert "`pactl set-sink-mute dac 0`" in silent
+    (heard,) = test_tone._warnings(DAC, seen(DAC, default="dac"))
+    assert "the default output" in heard
+    (output,) = list_outputs(seen(MUTED), (), ())
+    assert "now muted" in output.note
+
+
+@pytest.mark.parametrize(("sink", "warns"), [(MUTED, True), (DOWN, False), (None, False)])
+def test_a_daemon_warns_while_its_device_is_muted(sink: Sink | None, warns: bool) -> None:
+    output = object.__new__(SinkOutput)
+    output._found = sink
+    output.volume = DeviceVolume(None)
+    assert any("is muted" in warning for warning in output.warnings) == warns
+
+
+def test_the_shortest_test_tone_is_as_long_as_the_message_says():
+    for seconds, words in (
+        *(("0.19", "allowed: 0.2 to 60 s"), ("60.1", "allowed: 0.2 to 60 s")),
+        *(("0.2", "cannot play a test tone"), ("60", "cannot play a test tone")),
+    ):
+        assert words in refused(call("test-tone", "--device", "hw:x", "--seconds", seconds))

@@ -1,5 +1,3 @@
-"""The model of the simulated rig, as a user chooses it, and what the reports say about it."""
-
 import re
 from importlib.resources import files
 

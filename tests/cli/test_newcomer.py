@@ -7,25 +7,26 @@ import pytest
 
 from audioflinger_hook.cli.terminal import as_typed
 from tests.support.commands import call, cushion, noise, refused, sound
-from tests.support.terminal import Terminal
-
-SIMULATED = ("run", "--tap", "scene:demo", "--device", "twin", "--seconds", "1")
 
 
 def test_a_simulated_run_needs_no_server_and_no_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
     monkeypatch.setenv("PULSE_SERVER", "unix:/nonexistent")
-    done = cushion(*SIMULATED[:-1], "0.2")
+    done = cushion("run", "--tap", "scene:demo", "--device", "twin", "--seconds", "0.2")
     assert done.code == 0, done.stderr
     assert "peak acceleration" in done.stdout
 
 
-def test_removing_no_service_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_removing_no_service_says_so_and_the_rule_for_usb_devices_needs_no_device(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-    done = call("install-service", "--remove")
-    assert (done.code, done.stderr) == (0, "")
-    assert "was not installed" in done.stdout
-    assert "next, type:" not in done.stdout
+    removed, ruled = (call("install-service", option) for option in ("--remove", "--udev"))
+    assert (removed.code, removed.stderr) == (ruled.code, ruled.stderr) == (0, "")
+    assert "was not installed" in removed.stdout
+    assert "next, type:" not in removed.stdout
+    assert "70-cushion.rules" in ruled.stdout
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("command", ["dump", "capture"])
@@ -40,12 +41,6 @@ def test_a_name_never_promises_another_format_than_its_bytes(tmp_path: Path, nam
     error = refused(call("render", sound(tmp_path / "in.wav", noise(500)), tmp_path / name))
     assert "written as WAV; allowed: a name that ends in .wav, .wave, .rf64" in error
     assert not (tmp_path / name).exists()
-
-
-def test_a_run_on_a_terminal_shows_its_level() -> None:
-    with Terminal(*SIMULATED, env={"TERM": "xterm", "COLUMNS": "100"}) as terminal:
-        terminal.expect("█")
-        terminal.expect(" → ")
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,3 @@
-"""`cushion plugin`: what it writes, what it never touches, and what it removes."""
-
 from pathlib import Path
 
 import pytest

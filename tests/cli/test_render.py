@@ -1,5 +1,3 @@
-"""`cushion render`: what stands in the files, what is said, and what it costs."""
-
 import functools
 import json
 import os

@@ -1,5 +1,3 @@
-"""`cushion render IN... --out-dir DIR`: several files at once, each as if alone."""
-
 import json
 import os
 import re
@@ -167,13 +165,20 @@ def test_a_signal_in_the_middle_of_one_file_leaves_the_folder_as_it_was(long_sou
 
 
 @pytest.mark.exhaustive
-def test_a_worker_that_is_killed_costs_no_file(long_sources, folder):
+@pytest.mark.parametrize("victim", ["worker", "command"])
+def test_a_killed_worker_costs_no_file_and_workers_end_with_their_command(
+    long_sources, folder, victim
+):
     options = ["--out-dir", folder, "--workers", 2, "--channels", "each"]
     with commands.start("render", *long_sources, *options) as process:
-        two_under_way(process, folder)[0].kill()
+        workers = two_under_way(process, folder)
+        (workers[0] if victim == "worker" else process).kill()
+        # The workers have its pipes, too: they are closed once all have ended.
         stdout, stderr = process.communicate(timeout=60)
-    assert (process.returncode, stderr, len(stdout.splitlines())) == (0, "", len(long_sources))
-    assert sorted(commands.listing(folder)) == sorted(source.name for source in long_sources)
+    names = [source.name for source in long_sources] if victim == "worker" else []
+    assert sorted(commands.listing(folder)) == names
+    if victim == "worker":
+        assert (process.returncode, stderr, len(stdout.splitlines())) == (0, "", len(names))
 
 
 def test_a_file_that_ends_all_its_workers_is_named_and_costs_no_other(sources, folder, tmp_path):
@@ -183,14 +188,3 @@ def test_a_file_that_ends_all_its_workers_is_named_and_costs_no_other(sources, f
     assert done.stderr.count("\n") == 1, done.stderr
     assert f"{sources[2]}: its process died twice" in done.stderr
     assert sorted(commands.listing(folder)) == ["a.wav", "b.wav", "d.e.wav"]
-
-
-@pytest.mark.exhaustive
-def test_workers_end_by_themselves_where_the_command_was_killed(long_sources, folder):
-    options = ["--out-dir", folder, "--workers", 2, "--channels", "each"]
-    with commands.start("render", *long_sources, *options) as process:
-        two_under_way(process, folder)
-        process.kill()
-        # The workers have its pipes, too: they are closed once both have ended.
-        process.communicate(timeout=20)
-    assert not commands.listing(folder)

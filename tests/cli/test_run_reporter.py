@@ -1,10 +1,17 @@
-"""What a running daemon says, and how often: everything once, nothing without an end."""
+"""What a running daemon and its status say, and how often: nothing without an end."""
+
+import json
+import time
+from unittest.mock import Mock
 
 import pytest
 
+from audioflinger_hook.cli import status
 from audioflinger_hook.cli.run_reporter import AT_ONCE, EVERY_S, KINDS_MAX, RateLimit, RunReporter
 from audioflinger_hook.service.state import NOTES_MAX, Cause, DaemonState, Note, StateKeeper
 from device.errors import UsageError
+from tests.service.test_status_server import STATUS
+from tests.support.commands import call
 
 
 @pytest.fixture(autouse=True)
@@ -127,3 +134,14 @@ def test_kinds_without_end_take_no_memory_without_end() -> None:
     said = [ration.left_out(kind, 0.0) is not None for kind in range(10 * KINDS_MAX)]
     assert all(said[:KINDS_MAX])
     assert sum(said) <= KINDS_MAX + AT_ONCE
+
+
+def test_watched_json_is_one_line_each_second_until_it_is_interrupted(monkeypatch):
+    monkeypatch.setattr(status, "ask_status", lambda *_: STATUS)
+    sleeps = Mock(side_effect=[None, None, KeyboardInterrupt])
+    monkeypatch.setattr(status, "time", Mock(monotonic=time.monotonic, sleep=sleeps))
+    lines = call("status", "--watch", "--json").stdout.splitlines()
+    assert len(lines) == 3
+    assert {json.loads(line)["state"] for line in lines} == {STATUS.state.value}
+    assert [one.args for one in sleeps.call_args_list] == [(status.JSON_EVERY_S,)] * 3
+    assert len(call("status", "--json").stdout.splitlines()) == 1

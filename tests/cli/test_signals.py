@@ -1,5 +1,3 @@
-"""Signals of a running daemon, and how many files it may have open."""
-
 import os
 import pty
 import resource
@@ -76,11 +74,14 @@ def test_a_terminal_that_is_closed_ends_it_unless_it_was_started_to_go_on(ignore
             process.kill()
 
 
-def test_a_closed_terminal_ends_a_run_whose_meter_it_shows_like_ctrl_c(tmp_path: Path) -> None:
-    source, felt = sound(tmp_path / "in.wav", np.full(RATE * 60, 0.1)), tmp_path / "felt.wav"
+def test_a_closed_terminal_ends_a_run_whose_level_it_shows_like_ctrl_c(tmp_path: Path) -> None:
+    minute = 0.3 * np.sin(0.06 * np.arange(60 * RATE))
+    source, felt = sound(tmp_path / "in.wav", minute), tmp_path / "felt.wav"
     run = ("run", "--tap", f"file:{source}", "--device", f"wav:{felt}")
-    with Terminal(*run, env={"TERM": "xterm", "XDG_RUNTIME_DIR": str(tmp_path)}) as terminal:
+    env = {"TERM": "xterm", "COLUMNS": "100", "XDG_RUNTIME_DIR": str(tmp_path)}
+    with Terminal(*run, env=env) as terminal:
         terminal.expect("█")
+        terminal.expect(" → ")
         terminal.close()
         assert terminal.process.wait(DEADLINE_S) == 130
     assert soundfile.info(felt).frames > 0

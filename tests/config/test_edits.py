@@ -1,6 +1,5 @@
-"""Changes to a config file while the daemon runs: what applies, what is saved, what is undone."""
-
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from audioflinger_hook.config import file as config
+from audioflinger_hook.config.allowed_now import allowed_now
 from audioflinger_hook.config.edits import EDITABLE, RULE, LiveEdits, editable, edited_text
+from audioflinger_hook.config.profiles import PROFILES
+from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.transform import TransformParameters
+from device.drive import ActuatorSettings
 from device.errors import UsageError, WriteError
+from device.values import Number
 
 TEXT = """# My cushion.
 device = "haptic" # the one under the seat
@@ -179,20 +184,16 @@ def test_a_file_that_is_missing_is_made_when_the_edits_are_saved(tmp_path: Path)
     assert path.read_text() == "gain_db = -6.0\n"
 
 
-def test_a_file_that_cannot_be_written_keeps_the_edits(tmp_path: Path) -> None:
-    edits = LiveEdits(tmp_path)
-    edits.accept({"gain_db": -6.0})
-    with pytest.raises((UsageError, WriteError)):
-        edits.save()
-    assert edits.unsaved().keys() == {"gain_db"}
-
-
-def test_a_file_with_a_mistake_is_refused_and_stays(path: Path) -> None:
+def test_a_file_that_cannot_be_written_or_has_a_mistake_stays_and_the_edits_are_kept(
+    path: Path,
+) -> None:
     path.write_text("gain_db = \n")
-    edits = LiveEdits(path)
-    edits.accept({"gain_db": -6.0})
-    with pytest.raises(UsageError, match="not TOML"):
-        edits.save()
+    for place, words in ((path.parent, "cannot be read"), (path, "not TOML")):
+        edits = LiveEdits(place)
+        edits.accept({"gain_db": -6.0})
+        with pytest.raises((UsageError, WriteError), match=words):
+            edits.save()
+        assert edits.unsaved().keys() == {"gain_db"}
     assert path.read_text() == "gain_db = \n"
 
 
@@ -206,3 +207,40 @@ def test_an_undone_change_leaves_nothing_unsaved_after_an_earlier_save(path: Pat
     assert edits.unsaved() == {}
     edits.undo()  # what the file held first, which it does not hold any more
     assert edits.unsaved().keys() == {"gain_db"}
+
+
+NARROW = TransformParameters(band_low_hz=200.0, band_high_hz=500.0, window_s=0.02)
+OWNERS = [
+    *(Settings(profile=name) for name in PROFILES),
+    *(Settings(profile=name).parameters for name in PROFILES),
+    *(LiveSettings(), LiveSettings(drop_in=True, offset_ms=-20.0), NARROW),
+]
+
+
+@pytest.mark.parametrize("owner", OWNERS, ids=lambda owner: type(owner).__name__)
+def test_all_that_is_offered_is_accepted_and_what_is_just_outside_is_not(owner: Any) -> None:
+    for key in EDITABLE.values():
+        if not issubclass(type(owner), key.owner) or not isinstance(key.description, Number):
+            continue
+        narrowed = allowed_now(owner, key.field)
+        schema = {**key.description.json_schema(), **narrowed}
+        for end, beyond in (("minimum", -1e-3), ("maximum", 1e-3)):
+            if schema["type"] == "number":
+                replace(owner, **{key.field: schema[end]})
+            if end in narrowed:
+                with pytest.raises(UsageError):
+                    replace(owner, **{key.field: schema[end] + beyond})
+
+
+def test_limits_follow_the_other_values():
+    assert allowed_now(LiveSettings(), "offset_ms") == {"minimum": 0.0}
+    assert allowed_now(LiveSettings(drop_in=True), "offset_ms") == {}
+    assert allowed_now(NARROW, "band_low_hz")["maximum"] == pytest.approx(250.0)
+    assert allowed_now(NARROW, "band_high_hz")["minimum"] == pytest.approx(400.0)
+    assert allowed_now(NARROW, "vibration_top_hz")["minimum"] == pytest.approx(100.0)
+
+
+def test_a_word_that_contradicts_is_not_offered():
+    actuators = (ActuatorSettings(channels=("FL",)),)
+    assert allowed_now(Settings(actuators=actuators), "channels") == {"enum": ["mono"]}
+    assert allowed_now(Settings(), "channels") == {}

@@ -1,5 +1,3 @@
-"""What live sound is told: by options, and where they say nothing by the config."""
-
 import dataclasses
 from pathlib import Path
 from typing import Any

@@ -1,5 +1,3 @@
-"""Profiles: what each is, what goes over it, and that each keeps what every stream keeps."""
-
 import json
 from dataclasses import replace
 from importlib.resources import files

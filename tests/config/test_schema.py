@@ -1,9 +1,7 @@
-"""The one schema: mistakes of every kind at once, JSON Schema, help, live changes."""
-
 import json
 import re
 import tomllib
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -91,9 +89,10 @@ def test_mistakes_of_every_kind_are_named_at_once(tmp_path: Path) -> None:
     path = tmp_path / "config.toml"
     path.write_text(MISTAKES)
     found, mistakes = config.check(path)
-    done = call("check", "--config", path)
+    done, documents = (call("check", "--config", path, *option) for option in ((), ("--json",)))
     lines = done.stderr.splitlines()
-    assert (found, done.code) == (None, 2)
+    assert (found, done.code, documents.code) == (None, 2, 2)
+    assert json.loads(documents.stdout) == [*map(asdict, mistakes)]
     assert len(mistakes) == len(lines) == len(EXPECTED)
     for mistake, message, expected in zip(mistakes, lines, EXPECTED, strict=True):
         line, key, value, problem, allowed, nearest = expected
@@ -102,6 +101,7 @@ def test_mistakes_of_every_kind_are_named_at_once(tmp_path: Path) -> None:
         assert mistake.allowed.startswith(allowed)
         assert mistake.nearest == nearest
         assert message.startswith(f"cushion: error: {path}: line {line}: {key}")
+        assert message.isprintable()
         for part in (value, problem, f"; allowed: {allowed}"):
             assert part in message
         assert message.endswith(f"; did you mean {nearest}?") == bool(nearest)
@@ -110,7 +110,11 @@ def test_mistakes_of_every_kind_are_named_at_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "wrong"),
     [
-        (TransformParameters, {"window_s": 9, "mapping": "jnx", "partials_max": 0.5}),
+        (
+            TransformParameters,
+            {"window_s": 9, "mapping": "jnx", "partials_max": 0.5, "band_high_hz": "high"}
+            | {"band_low_hz": 5.0, "vibration_top_hz": 1_000.0, "threshold_hz": -1.0},
+        ),
         (Settings, {"profile": "loud", "gain_db": 3, "rig": "none", "damping": True}),
         (LiveSettings, {"tap": ("a", "b"), "device": "usb:x", "realtime": 1, "offset_ms": 1e9}),
         (ActuatorSettings, {"channels": (), "polarity": "up", "delay_ms": -1.0}),
@@ -122,6 +126,7 @@ def test_a_constructor_names_every_refused_value(kind: type[Any], wrong: dict[st
     for name in wrong:
         assert re.search(rf"(^|; ){name}=", str(error.value))
     assert str(error.value).count("allowed: ") == len(wrong)
+    assert "\n" not in str(error.value)
 
 
 def test_settings_name_the_mistakes_of_several_actuators_together() -> None:

@@ -53,10 +53,6 @@ def made(**changes: object) -> Core:
     return Core(blob.pack({**RECORDS, **changes}))  # type: ignore[dict-item]
 
 
-def test_the_whole_design_runs() -> None:
-    assert runs_or_is_refused(WHOLE)
-
-
 @given(
     at=st.integers(0, len(WHOLE) - 1), flips=st.integers(1, 255), cut=st.integers(0, len(WHOLE) - 1)
 )
@@ -116,6 +112,14 @@ EITHER_WAY = {
 ONE_MORE, ONE_LESS = {"back_ticks"}, {"last_bin", "energy_mapping", "find_onsets"}
 """Whole numbers that may be one more or less while all others stay as they are."""
 
+MAY_BE_0 = {
+    *("window_frames", "last_bin", "energy_mapping", "find_onsets", "hold_hops", "ring_hops"),
+    "begin_frames",
+}
+MAY_BE_SHORTER = {
+    *("image_table", "image_turn", "band_edges", "rise_shares", "low_sections", "begin_fade"),
+    *("phases", "gain_table", "felt_weights", "speech_teeth"),
+}
 FILTERS = {"low_a", "low_b"}
 """Tables that take the place of sections where those lack."""
 
@@ -125,13 +129,14 @@ def test_a_transform_is_not_made_of_a_setting_out_of_its_range(name: str) -> Non
     value = SETTINGS[name]
     wrong: list[object] = []
     if isinstance(value, int):
-        wrong = [2**40, 2**62, -1]
+        wrong = [2**40, 2**62, -1, *[0] * (name not in MAY_BE_0)]
         wrong += [value + 1] * (name not in EITHER_WAY | ONE_MORE)
         wrong += [value - 1] * (name not in EITHER_WAY | ONE_LESS)
     elif isinstance(value, float):
         wrong = [np.nan]
     elif name not in FILTERS:
         wrong = [np.full_like(value, np.nan), np.full_like(value, np.inf)]
+        wrong += [value[1:]] * (name not in MAY_BE_SHORTER)
     for one in wrong:
         with pytest.raises((InternalError, struct.error)):
             made(**{name: one})
@@ -140,58 +145,43 @@ def test_a_transform_is_not_made_of_a_setting_out_of_its_range(name: str) -> Non
 S = SETTINGS
 MISFITS: dict[str, list[object]] = {
     "window_frames": [S["window_frames"] + 1],
-    "decimation": [0],
-    "steps": [0, 4.0, np.array([54.0])],
+    "steps": [4.0, np.array([54.0])],
     "hop_s": [1, np.array([0.018])],
-    "hops_in_window": [0],
     "fft_length": [S["window_frames"], 7 * 2**10],
     "bins": [1, S["fft_length"]],
-    "first_bin": [0],
-    "partials_max": [0],
     "samplerate": [0, 2**40],
     "gain_step_hz": [0.0],
-    "window": [S["window"][1:], 1, 1.0],
+    "window": [1, 1.0],
     "band_b": [np.ones(1), np.ones(30)],
     "band_a": [np.ones(2), 2.0 * S["band_a"]],
     "low_sections": [S["low_sections"].ravel()[1:], np.zeros(0)],
     "image_table": [np.zeros(0)],
     "image_turn": [np.zeros((2, S["bins"] + 1)), np.zeros(3)],
-    "attack": [S["attack"][1:]],
     "seconds": [np.zeros(1)],
     "phases": [np.ones(1), np.zeros((0, S["decimation"]))],
     "gain_table": [np.ones(1)],
-    "ticks": [0],
     "tick_frames": [S["short_frames"] + 1],
-    "tick_glide": [S["tick_glide"][1:]],
-    "tick_glide_s": [S["tick_glide_s"][1:]],
     "find_onsets": [2],
     "energy_mapping": [2],
-    "short_frames": [0, S["tick_frames"] - 1],
-    "short_window": [S["short_window"][1:]],
+    "short_frames": [S["tick_frames"] - 1],
     "short_length": [2 * (S["short_frames"] // 2) - 2, 7 * 2**10],
-    "short_bins": [0],
-    "short_hz": [S["short_hz"][1:]],
-    "newest_frames": [0, S["tick_frames"] + 1, S["short_frames"] + 1],
+    "newest_frames": [S["tick_frames"] + 1, S["short_frames"] + 1],
     "band_edges": [
         *(S["band_edges"][:1], S["band_edges"][::-1].copy(), S["band_edges"] + S["short_bins"]),
         *(S["band_edges"] - S["band_edges"][0], S["band_edges"] + 0.5),
     ],
     "back_ticks": [2, 65],
     "rest_ticks": [S["rearmed_ticks"] - 1],
-    "rearmed_ticks": [0, S["rest_ticks"] + 1],
-    "heard_ticks": [0],
-    "one_tone": [S["one_tone"][1:]],
-    "groups_max": [0, S["onset_partials_max"] + 1],
+    "rearmed_ticks": [S["rest_ticks"] + 1],
+    "groups_max": [S["onset_partials_max"] + 1],
     "onset_partials_max": [S["groups_max"] - 1, 17],
     "rise_shares": [np.zeros(0)],
     "speech_edges": [
-        *(S["speech_edges"][1:], S["speech_edges"][::-1].copy(), S["speech_edges"] + S["bins"]),
-        S["speech_edges"] - 1e3,
+        *(S["speech_edges"][::-1].copy(), S["speech_edges"] + S["bins"], S["speech_edges"] - 1e3),
     ],
     "speech_centres_hz": [np.ones(6)],
-    "speech_log_pitches": [np.ones(1), S["speech_log_pitches"][1:]],
+    "speech_log_pitches": [np.ones(1)],
     "speech_teeth": [S["speech_teeth"] - 1.0, S["speech_teeth"] + S["bins"], np.zeros(0)],
-    "speech_ramps": [S["speech_ramps"][1:]],
     "inputs": [0, -1, 65, 2**70],
 }
 

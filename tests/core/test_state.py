@@ -1,5 +1,3 @@
-"""A core's state goes on in another core of the same design; what does not fit is refused."""
-
 import subprocess
 from pathlib import Path
 from typing import Any

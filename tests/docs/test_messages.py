@@ -1,5 +1,3 @@
-"""Every message that a user can meet has a line with an anchor on the page of messages."""
-
 import re
 from pathlib import Path
 

@@ -1,9 +1,14 @@
-"""What README.md and the pages of docs/ say is what happens."""
+"""What README.md, the pages of docs/ and their figures say is so, and their site builds."""
 
+import json
 import os
 import re
 import shlex
+import subprocess
+import sys
 import tomllib
+from html.parser import HTMLParser
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +27,10 @@ from device.errors import UsageError
 from tests.support.commands import RATE, cushion, sound, vibration
 from tests.support.parameters import CHOICES, LIMITS
 from tests.support.signals import tone
-from tools.docs.__main__ import outdated
+from tools.docs.__main__ import ROOT, outdated
 from tools.docs.commands import parser_of
+from tools.docs.figures import SENTENCES, Benchmarks, corrected, figures
 
-ROOT = Path(__file__).resolve().parents[2]
 README = "README.md"
 PAGES = (README, *sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob("docs/**/*.md")))
 CONFIG, EFFECTS, ACTUATORS = "docs/config.md", "docs/effects.md", "docs/actuators.md"
@@ -185,3 +190,64 @@ def test_every_file_that_a_page_names_exists(page: str) -> None:
     files = [f"/{path.relative_to(ROOT).as_posix()}" for path in ROOT.glob("*/**/*.py")]
     named = re.findall(r"`([\w/]+/\w+\.py)`", text_of(f"docs/{page}.md"))
     assert [name for name in named if not any(file.endswith(f"/{name}") for file in files)] == []
+
+
+def test_every_figure_is_said_somewhere_and_corrected_wherever_its_line_breaks() -> None:
+    said = " ".join(sentence for sentences in SENTENCES.values() for sentence in sentences)
+    assert [name for name in figures(Benchmarks()) if f"{{{name}}}" not in said] == []
+    text = "It is quick: 7 ms\nlate, 1.5 % of\na core. It is 7 ms late elsewhere, too.\n"
+    found = corrected("page", text, ("quick: {a} ms late, {b} % of a",), {"a": "12", "b": "-0.2"})
+    assert found == text.replace("quick: 7", "quick: 12").replace("1.5", "-0.2")
+
+
+@pytest.mark.parametrize("text", ["It is fast.", "It is 7 ms late. It is 8 ms late."])
+def test_a_sentence_that_a_page_says_never_or_twice_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=r"page says 'is \{a\} ms late'"):
+        corrected("page", text, ("is {a} ms late",), {"a": "9"})
+
+
+def test_another_measurement_changes_the_figure(tmp_path: Path) -> None:
+    document = json.loads((ROOT / "docs/benchmarks.json").read_text())
+    [row] = [
+        row
+        for section in document["sections"]
+        for row in section["rows"]
+        if (section["title"], row["name"], row["column"])
+        == ("Steady tones", "worst THD+N, 150 to 11000 Hz", "live")
+    ]
+    row["value"] = -71.9
+    path = tmp_path / "benchmarks.json"
+    path.write_text(json.dumps(document))
+    assert figures(Benchmarks(path)) == {**figures(Benchmarks()), "thdn_db": "-71"}
+
+
+class Fetched(HTMLParser):
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.sources: list[str] = []
+        self.feed(path.read_text())
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = {name: value or "" for name, value in attrs}
+        if tag == "link" and found.get("rel") not in ("canonical", "prev", "next"):
+            self.sources.append(found["href"])
+        elif "src" in found:
+            self.sources.append(found["src"])
+
+
+@pytest.mark.exhaustive
+def test_the_site_builds_without_warnings_and_fetches_nothing(tmp_path: Path) -> None:
+    if find_spec("material") is None:
+        pytest.skip("mkdocs-material is not installed: run `make docs` once")
+    # Without --quiet, which would count no warnings, as of broken links.
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
+    built = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert built.returncode == 0, built.stderr
+    pages = [path for path in tmp_path.rglob("*.html") if path.name != "404.html"]
+    assert len(pages) == len(list(ROOT.glob("docs/**/*.md")))
+    fetched = {source for path in pages for source in Fetched(path).sources}
+    assert fetched
+    assert [source for source in fetched if "//" in source] == []
+    styles = "".join(path.read_text() for path in tmp_path.rglob("*.css"))
+    assert "url(http" not in styles
+    assert "@import" not in styles

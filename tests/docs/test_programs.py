@@ -1,6 +1,9 @@
-"""Programs and examples that the documentation shows run, and show what they should."""
+"""Programs, examples and the notebook of the documentation run, and show what they should."""
 
+import base64
 import doctest
+import json
+import os
 import re
 import subprocess
 import sys
@@ -68,3 +71,65 @@ def test_the_first_example_of_a_page_runs(page, said, shape, capsys):
     exec(found[1], names)
     assert capsys.readouterr().out == said
     assert shape is None or names["vibration"].shape == shape
+
+
+PATH = EXAMPLES / "first_steps.ipynb"
+END_OF_CELL = "--- end of the cell"
+
+Cell = dict[str, Any]
+NOTEBOOK: Cell = json.loads(PATH.read_text())
+CODE: list[Cell] = [cell for cell in NOTEBOOK["cells"] if cell["cell_type"] == "code"]
+
+
+def printed(cell: Cell) -> str:
+    streams = [one for one in cell["outputs"] if one["output_type"] == "stream"]
+    assert {one["name"] for one in streams} <= {"stdout"}
+    return "".join("".join(one["text"]) for one in streams)
+
+
+def pictures(cell: Cell) -> list[bytes]:
+    shown = [one["data"] for one in cell["outputs"] if one["output_type"] == "display_data"]
+    return [base64.b64decode("".join(data["image/png"])) for data in shown]
+
+
+def test_the_notebook_has_the_format_4_names_no_machine_and_is_linked_to() -> None:
+    assert (NOTEBOOK["nbformat"], NOTEBOOK["nbformat_minor"] >= 5) == (4, True)
+    assert NOTEBOOK["metadata"] == {
+        "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
+        "language_info": {"name": "python"},
+    }
+    assert all(cell["metadata"] == {} for cell in NOTEBOOK["cells"])
+    identities = [cell["id"] for cell in NOTEBOOK["cells"]]
+    assert len(set(identities)) == len(identities)
+    assert all(re.fullmatch(r"[a-zA-Z0-9_-]{1,64}", identity) for identity in identities)
+    assert not re.search(r"/(home|root|tmp|work|opt|usr|Users)/", PATH.read_text())
+    for page in ("docs/examples.md", "docs/get-started/researcher.md"):
+        assert "examples/first_steps.ipynb" in (ROOT / page).read_text()
+
+
+def test_its_cells_are_short_and_were_run_once_in_order_and_its_pictures_are_small() -> None:
+    assert [cell["execution_count"] for cell in CODE] == [*range(1, len(CODE) + 1)]
+    kinds = {output["output_type"] for cell in CODE for output in cell["outputs"]}
+    assert kinds == {"stream", "display_data"}
+    assert all("".join(cell["source"]).count("\n") < 30 for cell in NOTEBOOK["cells"])
+    shown = [picture for cell in CODE for picture in pictures(cell)]
+    assert len(shown) == 4
+    assert all(picture.startswith(b"\x89PNG\r\n\x1a\n") for picture in shown)
+    assert sum(map(len, shown)) < 400_000
+
+
+def test_each_cell_prints_what_it_printed_and_draws_where_it_drew(tmp_path: Path) -> None:
+    parts = []
+    for cell in CODE:
+        # the ";" of a last line hides its value in Jupyter
+        parts += ["".join(cell["source"]), f"print(len(plt.get_fignums()), {END_OF_CELL!r})"]
+        parts.append("plt.close('all')")
+    program = tmp_path / "cells.py"
+    program.write_text("\n".join(parts))
+    command, env = [sys.executable, "-W", "error", program.name], os.environ | {"MPLBACKEND": "agg"}
+    env["PYTHONPATH"] = str(ROOT)
+    ran = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=env)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    found = ran.stdout.split(f" {END_OF_CELL}\n")
+    assert found == [*[f"{printed(cell)}{len(pictures(cell))}" for cell in CODE], ""]
+    assert [path.name for path in tmp_path.iterdir()] == ["cells.py"], "it writes no file"

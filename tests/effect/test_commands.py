@@ -1,5 +1,3 @@
-"""Wrong codes, types, sizes, names and ranges in commands: EINVAL before the engine sees them."""
-
 from types import NoneType
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""The haptic effect in its chain: what it writes and leaves, and defects it must not have."""
-
 from itertools import pairwise
 from typing import Any
 

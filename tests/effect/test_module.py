@@ -1,5 +1,3 @@
-"""The lifecycle of an effect, and what the framework does with one that misbehaves."""
-
 from unittest.mock import Mock
 
 import numpy as np

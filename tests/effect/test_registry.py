@@ -1,5 +1,3 @@
-"""Where effects come from: the bundled library, and packages that bring others."""
-
 from dataclasses import replace
 from unittest.mock import Mock
 from uuid import UUID

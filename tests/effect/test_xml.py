@@ -1,5 +1,3 @@
-"""audio_effects.xml: what it declares, and what is left out of a bad one, with its line."""
-
 import time
 from uuid import UUID
 

@@ -16,7 +16,6 @@ from audioflinger_hook.exports.decimals import decimal_text, point_texts
 from audioflinger_hook.exports.glides import Onset, VibrationCurve, low_pass
 from audioflinger_hook.exports.hjif import effects_of
 from audioflinger_hook.exports.options import FORMATS
-from audioflinger_hook.exports.parametric import json_bytes
 from audioflinger_hook.exports.tracks import PartialTrack
 from device.errors import UsageError
 from tests.support.exports import RATE_HZ, check, exported, read_wave, scene
@@ -89,7 +88,8 @@ def test_numbers_have_the_digits_of_rounded_floats(numbers: list[float], places:
     numbers += [one * 10.0**-place for one in numbers for place in (3, 5, 7)]
     column, rounded = np.array(numbers), np.round(numbers, places).tolist()
     (texts,) = point_texts([decimal_text(column, places)] * 2, np.array([column.size]))
-    assert b"[%b]" % texts == json_bytes([[one, one] for one in rounded])
+    expected = json.dumps([[one, one] for one in rounded], separators=(",", ":"))
+    assert b"[%b]" % texts == expected.encode()
 
 
 def test_tracks_computed_together_are_those_of_tracks_alone(tmp_path, monkeypatch):

@@ -1,18 +1,23 @@
 """WAV and FLAC at any rate hold the same vibration, in a fraction of the bytes."""
 
+import threading
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.signal import czt
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports.export import ExportOptions, export
-from audioflinger_hook.exports.sound_output import LeakMeter, ResampledOutput
+from audioflinger_hook.exports.sound_output import BackgroundOutput, LeakMeter, ResampledOutput
 from audioflinger_hook.offline.render import render
+from device.errors import WriteError
 from device.wav_output import WavOutput
 from tests.support.exports import RATE_HZ, client_of, exported, read_wave, scene
+from tests.support.outputs import KeptOutput
 from tests.support.signals import tone
 
 
@@ -83,6 +88,61 @@ def test_a_leak_meter_tells_what_is_over_250_hz(hz: float, leak_db: float, tmp_p
     assert meter.leak_db is not None
     assert meter.leak_db >= leak_db if hz > 250.0 else meter.leak_db <= leak_db
     assert meter.leak_db <= 0.01
+
+
+def test_the_leak_does_not_depend_on_the_blocks_or_the_length() -> None:
+    """A sound of 400 s uses the transform for long sounds from about its middle on."""
+    rate_hz, seconds = 1_000, 400
+    sound = (tone(100.0, seconds, rate_hz) + 1e-3 * tone(400.0, seconds, rate_hz))[:, None]
+    sound *= np.sin(np.pi * np.arange(len(sound)) / len(sound))[:, None] ** 2
+
+    def leak_db(block: int) -> float:
+        meter = LeakMeter(KeptOutput(rate_hz, 1))
+        for first in range(0, len(sound), block):
+            meter.write(sound[first : first + block])
+        meter.close()
+        assert meter.leak_db is not None
+        return meter.leak_db
+
+    assert leak_db(997) == pytest.approx(-60.0, abs=1e-3)
+    assert leak_db(997) == pytest.approx(leak_db(len(sound)), abs=1e-9)
+
+
+@given(frames=st.integers(200, 3_000))
+def test_a_leak_counts_alike_at_the_start_and_at_the_end(frames: int) -> None:
+    sound = np.concatenate((tone(400.0, 0.1, 1_000), np.zeros(frames - 100)))[:, None]
+    sound += 0.1 * tone(100.0, frames / 1_000, 1_000)[:frames, None]
+    leaks = []
+    for direction in (1, -1):
+        meter = LeakMeter(KeptOutput(1_000, 1))
+        meter.write(sound[::direction])
+        meter.close()
+        leaks.append(meter.leak_db)
+    assert leaks[0] == pytest.approx(leaks[1], abs=0.05)
+
+
+def test_blocks_are_encoded_in_order_on_one_other_thread_which_reports_errors() -> None:
+    numbers, threads = list[float](), set[int]()
+
+    class Encoder(KeptOutput):
+        def write(self, vibration: Any) -> None:
+            threads.add(threading.get_ident())
+            if len(numbers) == 3:
+                raise WriteError("full")
+            numbers.append(float(vibration[0, 0]))
+
+    output, block = BackgroundOutput(Encoder(RATE_HZ, 1)), np.zeros((9, 1))
+
+    def play() -> None:
+        for number in range(99):
+            block[:] = number
+            output.write(block)
+
+    with pytest.raises(WriteError, match="full"):
+        play()
+    output.abort()
+    assert numbers == [0.0, 1.0, 2.0]
+    assert len(threads - {threading.get_ident()}) == len(threads) == 1
 
 
 def test_silence_has_no_leak(tmp_path: Path) -> None:

@@ -47,10 +47,6 @@ def rgb_of(colours):
     return np.array([[int(one[at : at + 2], 16) for at in (1, 3, 5)] for one in colours])
 
 
-def pixels_of(picture, colour):
-    return int(np.sum(np.all(np.abs(picture.astype(int) - rgb_of([colour])) <= 1, axis=2)))
-
-
 def test_the_report_is_a_png_of_1600_by_1500_pixels_and_at_most_a_megabyte():
     png = report_png(**arguments(description="peak 1"))
     with Image.open(io.BytesIO(png)) as picture:
@@ -112,7 +108,8 @@ def test_samples_that_are_not_finite_are_drawn_as_zero():
 def test_vibration_and_principal_frequencies_appear_in_the_accent_colour():
     far = [(at_s, 200.0, 71.7, 1.0) for at_s in np.arange(0.1, 2.0, 0.1)]
     changes: tuple[Any, ...] = (SILENT, {"principals": []}, {"principals": far})
-    silent, without, dotted = (pixels_of(picture_of(**one), palette.FELT) for one in changes)
+    off = (np.abs(picture_of(**one).astype(int) - rgb_of([palette.FELT])) for one in changes)
+    silent, without, dotted = (np.all(one <= 1, axis=2).sum() for one in off)
     assert 4 * silent < without < dotted - 100
 
 

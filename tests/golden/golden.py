@@ -1,18 +1,15 @@
 """Golden digests: SHA-256 of what the commands write, to hold a redesign to the same bytes.
 
-    python -m tests.golden.golden [--check] [--quick]     compare with digests.json (the default)
-    python -m tests.golden.golden --write                 record digests.json again
+    python -m tests.golden.golden              compare with digests.json
+    python -m tests.golden.golden --write      record digests.json again
 
-Recordings are cut to their first `EXCERPT_S` seconds, so that a full run takes a minute. Digests
-hold for one kind of machine, whose libraries round logarithms, spectra and matrices in their
-way. The entry `machine` is a probe of these; where it differs, nothing can be compared.
+Digests hold for one kind of machine, whose libraries round in their way. Where the entry `machine`,
+a probe of these, differs, nothing can be compared.
 """
 
 import argparse
-import contextlib
 import functools
 import hashlib
-import io
 import itertools
 import json
 import os
@@ -26,10 +23,10 @@ import numpy as np
 import scipy.fft
 import soundfile
 
-from audioflinger_hook.cli import main as cushion
 from audioflinger_hook.config.profiles import PROFILES, parameters_of
 from audioflinger_hook.transform import TRANSFORM_VERSION
 from audioflinger_hook.transform.design import LiveDesign
+from tests.support.commands import call
 from tests.support.recordings import FOLDER as RECORDINGS
 from tests.support.signals import FORMS
 
@@ -77,12 +74,9 @@ def machine() -> str:
 
 def run(*arguments: object) -> str:
     """Run a command in this process and return what it printed; raise where it fails."""
-    printed = io.StringIO()
-    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(io.StringIO()) as errors:
-        code = cushion([str(argument) for argument in arguments])
-    if code:
-        raise RuntimeError(f"cushion {arguments} ended with {code}: {errors.getvalue()}")
-    return printed.getvalue()
+    done = call(*arguments)
+    assert done.code == 0, (arguments, done)
+    return done.stdout
 
 
 def excerpt(recording: Path, folder: Path) -> Path:
@@ -191,11 +185,8 @@ def main() -> int:
     """Write or check the digests; return 1 where they differ."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--write", action="store_true")
-    parser.add_argument("--check", action="store_true", help="the default")
-    parser.add_argument("--quick", action="store_true", help="a dozen of them")
     options = parser.parse_args()
-    found = digests(quick if options.quick else lambda _name: True)
-    golden = json.loads(DIGESTS.read_text())
+    found, golden = digests(), json.loads(DIGESTS.read_text())
     if options.write:
         if golden.get("transform_version") == found["transform_version"] and any(
             name.startswith("render/") and digest != found.get(name)
@@ -207,8 +198,6 @@ def main() -> int:
         DIGESTS.write_text(json.dumps(found, indent=0, sort_keys=True) + "\n")
         print(f"{len(found)} digests written")
         return 0
-    if options.quick:
-        golden = {name: golden[name] for name in golden if quick(name)}
     wrong = [
         f"{name}: {found.get(name, 'missing')} instead of {golden.get(name, 'nothing')}"
         for name in sorted(golden.keys() | found.keys())

@@ -1,5 +1,3 @@
-"""The bytes that the commands write are those of the golden digests."""
-
 import json
 
 import pytest

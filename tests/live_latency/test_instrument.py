@@ -1,5 +1,3 @@
-"""The instrument for live latency finds the delay that was put in, and says when it cannot."""
-
 import json
 import mmap
 import os
@@ -41,11 +39,8 @@ SOUNDS = {
 
 
 def arrivals(seconds, *, ppm=0.0, block=BLOCK, burst=1, late_ms=3.0, lost=(), seed=1):
-    """Times and counts of blocks from a source that renders `burst` of them at once.
-
-    lost: pairs of a time in seconds and frames that are missing from then on (negative: that
-    came twice).
-    """
+    """Times and counts of blocks from a source that renders `burst` of them at once. lost: pairs of
+    a time in s and frames that are missing from then on (negative: that came twice)."""
     generator, count = np.random.default_rng(seed), int(seconds * RATE / block)
     due = -(-(1 + np.arange(count)) // burst) * burst  # a block comes with the last of its burst
     made = due * block / RATE * (1.0 + 1e-6 * ppm)

@@ -1,5 +1,3 @@
-"""Pauses of the machine are told from a busy core and from a program's own faults."""
-
 import os
 import signal
 import subprocess

@@ -1,5 +1,3 @@
-"""What the tools say when a daemon or a player did not do as expected: one line, no traceback."""
-
 from contextlib import nullcontext
 from typing import Any
 

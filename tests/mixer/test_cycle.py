@@ -1,5 +1,3 @@
-"""The cycle: what is mixed with what, in which order, when it sleeps, and what it costs."""
-
 import time
 import tracemalloc
 from typing import Any

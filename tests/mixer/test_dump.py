@@ -1,18 +1,11 @@
 """The dump: what `dumpsys media.audio_flinger` would show of this mixer."""
 
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
 
 from audioflinger_hook.mixer import EffectsPort, Mixer, PcmFormat, dump
-
-
-class TwoChains(EffectsPort):
-    def sessions(self):
-        return (0, 7)
-
-    def dump(self):
-        return ["2 Effect Chains", "  session 7: Bass", "  session 0: Cushion, ACTIVE"]
 
 
 def test_the_thread_is_shown_with_its_format_and_counts():
@@ -59,7 +52,9 @@ def test_every_track_has_a_row_under_its_headings_with_what_it_lacked():
 
 
 def test_chains_cycle_times_and_failures_are_shown_where_there_are_any():
-    mixer = Mixer(48_000, 2, effects=TwoChains())
+    chains = ["2 Effect Chains", "  session 7: Bass", "  session 0: Cushion, ACTIVE"]
+    methods: dict[str, Any] = {"sessions.return_value": (0, 7), "dump.return_value": chains}
+    mixer = Mixer(48_000, 2, effects=Mock(EffectsPort, **methods))
     mixer.post(Mock(side_effect=KeyError("x")))
     mixer.cycle(0.0)
     text = dump(mixer, [0.0001, 0.0003, 0.0002])

@@ -1,5 +1,3 @@
-"""Sample formats: exact decoding, one rounding rule, clamping, and what is refused."""
-
 import numpy as np
 import pytest
 from hypothesis import given

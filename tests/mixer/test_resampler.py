@@ -1,5 +1,3 @@
-"""The resampler: any split gives the same bits, nothing folds back, the position never drifts."""
-
 import itertools
 
 import numpy as np

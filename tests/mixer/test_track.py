@@ -1,5 +1,3 @@
-"""Tracks: their states, start threshold, underruns, ramps, draining, and what is refused."""
-
 import threading
 from typing import Any
 

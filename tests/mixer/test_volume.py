@@ -1,5 +1,3 @@
-"""Volumes: what is usable, exact gains on every side, ramps over exactly one buffer."""
-
 import math
 
 import numpy as np

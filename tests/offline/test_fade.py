@@ -1,5 +1,3 @@
-"""Files end with a fade of 5 ms: a tone that lasts to the end stops without a click."""
-
 from pathlib import Path
 
 import numpy as np

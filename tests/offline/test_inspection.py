@@ -1,5 +1,3 @@
-"""The principal frequencies of a sound, unit by unit, whoever asks and however it is delivered."""
-
 import itertools
 from contextlib import closing
 from typing import Any

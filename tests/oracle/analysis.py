@@ -8,9 +8,17 @@ from typing import Any
 
 import numpy as np
 
+from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.arrays import ComplexArray, FloatArray
+from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.design.analysis import NEIGHBOURS, TABLE_BINS_A_BIN
-from audioflinger_hook.transform.principal import HALF_POWER, Principals, parabola, strongest
+from audioflinger_hook.transform.principal import (
+    HALF_POWER,
+    Principals,
+    Spectrum,
+    parabola,
+    strongest,
+)
 
 APART_FROM, FLOOR, CURVED, LOWER_FIRST = 1.0 + 1e-9, 1e-6, 1e-6, 1e-10
 """Ties: amplitudes differ from this ratio on; a bin beside a peak counts as at least this share of
@@ -108,3 +116,12 @@ def _without_image(s, spectra, row, peak, offset, around):
     image = np.interp(bins + (peak + offset)[:, None], places, s.image_table)
     here = (spectra[row[:, None], bins] - first[:, None]) * turn[bins]
     return np.abs(here - np.conj(tone)[:, None] * image)
+
+
+def principal_in(
+    windows: FloatArray, samplerate: int, parameters: TransformParameters | None = None
+) -> Principals:
+    """Return everything principal in band-passed windows (rows, N), not cut to n."""
+    design = LiveDesign.of(parameters or TransformParameters(), samplerate).analysis
+    spectra = Spectrum(samplerate, design.window, design.fft_length).transform(windows)
+    return all_principal(design, spectra[:, : design.bins])

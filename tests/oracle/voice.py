@@ -21,11 +21,8 @@ Told = tuple[float, float, float]
 
 
 def level_ratio(mapping, found):
-    """Return the ratio of one window's vibration level to its level by energy.
-
-    It is 1 for a steady tone, 1 / M for M equal ones by `tonal`, always 1 by `energy`. A window
-    that is only partly filled by its sound gives the same ratio.
-    """
+    """Return the ratio of one window's vibration level to its level by energy: 1 for a steady tone,
+    1 / M for M equal ones by `tonal`, always 1 by `energy`."""
     if mapping.energy_mapping or not len(found):
         return 1.0
     strength = mapping.amplitudes(found.amplitude, found.r)

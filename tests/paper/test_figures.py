@@ -1,5 +1,3 @@
-"""The paper's figures: what each shows is read from its numbers, and its words from its sheet."""
-
 import os
 import sys
 from dataclasses import replace

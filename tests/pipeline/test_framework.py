@@ -1,5 +1,3 @@
-"""The framework as one: its vibration is the transform's, whoever plays and whatever fails."""
-
 import itertools
 
 import numpy as np

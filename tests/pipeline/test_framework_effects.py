@@ -216,20 +216,3 @@ def test_a_file_that_does_not_apply_our_effect_is_refused(tmp_path, effects_file
     assert str(path) in said
     assert reason in said
     assert listing(tmp_path) == before
-
-
-@pytest.mark.parametrize(
-    ("value", "wrong"),
-    [
-        *(('"none.xml"', '= "none.xml" is not a file'), ('"."', '= "." is not a file')),
-        *(('""', '= "" is not a path'), ("3", "= 3 is not a path")),
-        ('"a\\u0000b"', "is not a file"),
-    ],
-)
-def test_a_config_that_names_no_effects_file_is_a_mistake_with_its_line(tmp_path, value, wrong):
-    config = tmp_path / "config.toml"
-    config.write_text(f"# effects\neffects_file = {value}\n")
-    error = refused(call("check", "--config", config))
-    assert "line 2: effects_file" in error
-    assert wrong in error
-    assert "allowed: the path of an audio_effects.xml" in error

@@ -1,5 +1,3 @@
-"""The chain as one step function: any client, any blocksize, the same bytes on every output."""
-
 from unittest.mock import Mock
 
 import numpy as np
@@ -92,13 +90,6 @@ def test_a_step_moves_one_buffer_and_the_last_step_only_what_is_owed(mix):
     assert [step.audio.shape for step in steps] == [*[(800, 2)] * 30, (0, 2)]
     assert [step.vibration.shape for step in steps] == [*[(800, 1)] * 30, (owed, 1)]
     assert ([chain.step() for _ in range(3)], len(output.whole)) == ([None] * 3, 24_000 + owed)
-
-
-def test_a_sound_of_a_single_frame_goes_through(tmp_path):
-    client = TapClient(FileTap(sound(tmp_path / "one.wav", noise(1))))
-    output = KeptOutput(RATE)
-    assert [len(step.audio) for step in run(client, Settings(), [output])] == [1, 0]
-    assert len(output.whole) == 1
 
 
 @pytest.mark.parametrize("before", [{}, {"out.wav": b"old", "felt.wav": b"older"}])

@@ -1,5 +1,3 @@
-"""The plugin as a LADSPA host sees it: the bytes of the transform, and no way to stop a host."""
-
 import ctypes
 import os
 from collections.abc import Callable, Iterator

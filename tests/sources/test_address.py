@@ -1,5 +1,3 @@
-"""What a user may write for a tap, and what it opens."""
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

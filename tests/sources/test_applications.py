@@ -1,5 +1,3 @@
-"""Sounds that come one beside the other are one mix, at the pace of one of them."""
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

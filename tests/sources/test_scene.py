@@ -1,5 +1,3 @@
-"""A scene in the mixer: every sound on its frame, paused and resumed, in its own format."""
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

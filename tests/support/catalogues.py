@@ -23,10 +23,7 @@ def library(folder: Path, count: int = 4, frames: int = 2_000) -> Path:
 
 
 def results(out: Path) -> dict[str, bytes]:
-    """Return the results in a folder: relative name and content.
-
-    Records and files of the run are left out.
-    """
+    """Return the results in a folder, without records and lists: relative name and content."""
     return {
         str(path.relative_to(out)): path.read_bytes()
         for path in sorted(out.rglob("*"))

@@ -126,10 +126,7 @@ def without_a_reader(*arguments: object, **options: Any) -> Done:
 
 
 def ended_by(name: str, folder: Path) -> dict[str, str]:
-    """Return an environment in which a process that opens a file of this name ends at once.
-
-    As with a decoder that crashes. Every process of the command imports what is written in folder.
-    """
+    """Return an environment in which a process that opens a file of this name ends at once."""
     (folder / "sitecustomize.py").write_text(
         "import os, sys\n"
         "def ended(event, arguments):\n"

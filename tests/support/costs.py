@@ -6,10 +6,9 @@ from tools.bench.cost import rfft_unit_s
 
 
 def cost_ffts(work):
-    """The processor time of a call as a multiple of that of one rfft(2048, float32).
+    """The processor time of a call over that of one FFT, to be compared with `in_ffts` of a limit.
 
-    The FFT is timed before and after; the slower of the two counts, as whatever slows the machine
-    down meanwhile slows the work as well. Compare with `in_ffts` of a limit in seconds.
+    The FFT is timed before and after: whatever slows the machine meanwhile slows the work as well.
     """
     before_s = rfft_unit_s()
     start_s = time.process_time()

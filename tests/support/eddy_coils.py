@@ -135,10 +135,7 @@ KINDS = ("plain", "parallel", "leach")
 
 
 def random_coil_rig(seed: int, kind: str | None = None) -> tuple[CoilRig, str]:
-    """A random rig, every third one on a seat, with a coil of one of KINDS; and which it is.
-
-    At 200 Hz, what eddy currents add is 5 to 60 % of the coil's resistance.
-    """
+    """A random rig, every third one on a seat, with a coil of one of KINDS; and which it is."""
     rig, _ = random_rig(seed)
     random, kind = np.random.default_rng([seed, 1]), kind or KINDS[seed % 3]
     seat, r = bool(random.random() < 0.33), rig.actuator.resistance_ohm

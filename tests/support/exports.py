@@ -122,11 +122,7 @@ def check_vibration_xml(content: bytes) -> None:
 
 
 def check_hjif(content: bytes) -> None:
-    """Check what MPEG's reference software checks, and that no effects of a band overlap.
-
-    The schema has the rules of MPEG's schema for one document, with the integers that its parser
-    demands. The reference software also looks up identifiers.
-    """
+    """Check what MPEG's reference software checks, and that no effects of a band overlap."""
     document = _by_schema("hjif", content)
     avatars = [avatar["id"] for avatar in document["avatars"]]
     assert len(avatars) == len(set(avatars))

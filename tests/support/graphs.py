@@ -41,10 +41,7 @@ def gone(number: int) -> Item:
 
 
 def desktop() -> Graph:
-    """Sinks `desk` (10), `dac` (20) and `tv` (30), and a chain's nodes (40, 50).
-
-    A sink's ports follow its node: playback FL and FR, then monitor FL and FR.
-    """
+    """Sinks `desk` (10), `dac` (20) and `tv` (30), and a chain's nodes (40, 50); ports follow."""
     graph = Graph()
     for first, name in ((10, "desk"), (20, "dac"), (30, "tv")):
         graph.apply([node(first, name, "Audio/Sink")])

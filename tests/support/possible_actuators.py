@@ -51,10 +51,7 @@ def volts_of(rig: Rig, drive: FloatArray, samplerate: int) -> FloatArray:
 
 
 def excursion_sections(rig: Rig, possible: Possible, samplerate: int) -> FloatArray:
-    """Return second-order sections from volts to the coil's excursion in its frame, in Xmax.
-
-    Written from the forces on coil and frame, apart from what is tested.
-    """
+    """Return second-order sections from volts to the coil's excursion in its frame, in Xmax."""
     p, seat = possible.of(rig.actuator), possible.seat
     resistance = p.resistance_ohm + rig.amplifier.source_impedance_ohm
     rate = linear_rates(p, seat, resistance, p.force_factor_n_per_a)
@@ -134,10 +131,8 @@ def search(
     generations: int,
     seed: int,
 ) -> tuple[float, list[float], int]:
-    """Return the largest value that differential evolution finds, its numbers, and the tries.
-
-    reached: takes numbers, (tries, numbers), and returns (tries,); each call has `drives` tries.
-    """
+    """Return the largest value of `reached`, from (tries, numbers) to (tries,), that differential
+    evolution finds, its numbers, and the tries."""
     best, found, tries = 0.0, [], 0
 
     def lowest(numbers: FloatArray) -> FloatArray:
@@ -156,10 +151,8 @@ def search(
 
 
 def strong(rig: Rig, stronger: float) -> Rig:
-    """Return the rig behind an amplifier that could drive it so many times as far as Xmax at f0.
-
-    The amplifier has no limit of its current.
-    """
+    """Return the rig behind an amplifier without a limit of its current that could drive it so many
+    times as far as Xmax at f0."""
     p, source = rig.actuator, rig.amplifier.source_impedance_ohm
     s = 1j * p.resonance_rad_s
     impedance = p.resistance_ohm + source + s * p.inductance_h

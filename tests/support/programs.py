@@ -11,10 +11,7 @@ from tests.support.recordings import ROOT
 def printed(
     program: str, *within: str, environment: Mapping[str, str] | None = None
 ) -> tuple[str, list[str]]:
-    """What a program prints, stripped, and the lines of its errors; its exit code is 0.
-
-    within: a command that runs it, such as one that sets limits.
-    """
+    """What a program that `within` runs prints, stripped, and the lines of its errors."""
     done = subprocess.run(
         [*within, sys.executable, "-c", program],
         env={**(environment or os.environ), "PYTHONPATH": str(ROOT)},

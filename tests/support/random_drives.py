@@ -105,11 +105,8 @@ def _drive(rng: np.random.Generator, kind: str, f0: float, samplerate: int) -> F
 
 @dataclass(frozen=True)
 class Reached:
-    """The true rig's largest values as shares of their limits, and what the core says.
-
-    excursion: of Xmax. current: of the amplifier's limit. coil_c: the warmest, not a share.
-    limited, infeasible: blocks. gain: what the cap allows at the end. dose: of the day.
-    """
+    """The true rig's largest values as shares of Xmax and of the amplifier's limit, its warmest
+    coil; limited and infeasible blocks, what the cap allows at the end, and the day's dose."""
 
     name: str
     excursion: float

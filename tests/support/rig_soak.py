@@ -31,11 +31,8 @@ Energy = Callable[[FloatArray], FloatArray]
 
 
 def soak_energy(model: Model, samples: int = SAMPLES) -> SoakRecord:
-    """What becomes of the energy of one model over so many samples.
-
-    A bounded random drive of ten seconds in a loop, again and again: after the first loop each
-    must reach the same largest energy. Then the drive stops, and the energy only falls.
-    """
+    """What becomes of the energy of one model over so many samples: each loop of a random drive
+    must reach the same largest energy, and after the drive it only falls."""
     volts = steady_drive(min(LOOP_S, samples / SAMPLERATE))
     moved, start_s = energy_of(model), time.process_time()
     loops = SETTLED_LOOPS + -(-samples // len(volts))
@@ -66,10 +63,7 @@ def steady_drive(duration_s: float) -> FloatArray:
 
 
 def largest_rise(stored_j: FloatArray) -> float:
-    """Return the largest rise from sample to sample after a drive's end, of the energy before it.
-
-    In the first sample the voltage still falls to 0.
-    """
+    """Return the largest rise from sample to sample after a drive, of the energy before it."""
     before, after = stored_j[:-1], stored_j[1:]
     moving = before > STILL * stored_j[0]
     return max(0.0, float((after[moving] / before[moving]).max() - 1.0))

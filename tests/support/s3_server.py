@@ -13,21 +13,16 @@ BUCKET = "sounds"
 
 
 class FailingServer:
-    """The WSGI application of moto, which answers with errors where `failures` say so.
-
-    failures: status codes to answer with, one after the other, to requests that `fails` chooses.
-    requests: (method, path) of every request so far.
-    """
+    """The WSGI application of moto, which answers with the status codes of `failures`, one after
+    the other, to requests (method, path) that `fails` chooses."""
 
     def __init__(self) -> None:
         self.failures: list[int] = []
         self.fails = lambda method, path: True
-        self.requests: list[tuple[str, str]] = []
         self._works = DomainDispatcherApplication(create_backend_app)
 
     def __call__(self, environ: dict[str, Any], start_response: Any) -> Iterable[bytes]:
         method, path = environ["REQUEST_METHOD"], environ["PATH_INFO"]
-        self.requests.append((method, path))
         if self.failures and self.fails(method, path):
             status = self.failures.pop(0)
             environ["wsgi.input"].read(int(environ.get("CONTENT_LENGTH") or 0))

@@ -153,10 +153,8 @@ def energy_above_db(vibration: FloatArray, hz: float, samplerate: int) -> float:
 def best_sinusoid(
     vibration: FloatArray, samplerate: float, hz: float
 ) -> tuple[float, float, float]:
-    """Return frequency, amplitude and residual (dB under it) of the best-fitting sinusoid.
-
-    hz: a first guess, within a fraction of 1/duration; refined by Newton steps of least squares.
-    """
+    """Return frequency, amplitude and residual (dB under it) of the sinusoid that fits best, by
+    Newton steps of least squares from a guess within a fraction of 1/duration."""
     time = np.arange(vibration.size) / samplerate
     time -= time.mean()
     for _ in range(6):

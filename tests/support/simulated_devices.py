@@ -22,13 +22,10 @@ class SimulatedDevices:
     """A `Transport`. Every run begins at rest.
 
     delay_s: from played to recorded; drift_ppm: by how much the input's clock is faster; noise:
-    r.m.s. of every channel, of full scale; gains: by channel name; change(name, samples, first):
-    what becomes of a block whose first frame is that; lost: {frame: how many are missing there}, in
-    one run or, if it loses_always, in each;
-    on_block(exchange, number): called before each; stands_still: from this block on no input comes.
-
-    played: (frames, 2) of the last run, with some blocks after its end at frame ended_at; levels:
-    the peak of each run.
+    r.m.s. of full scale; change(name, samples, first): what becomes of a block; lost: {frame: how
+    many are missing there}, in one run or, if it loses_always, in each; on_block(exchange, number):
+    called before each; stands_still: from this block on no input comes. played: (frames, 2) of the
+    last run, with some blocks after its end at frame ended_at; levels: the peak of each run.
     """
 
     rig: Rig

@@ -40,10 +40,7 @@ def midi(number: int, address: int, packet: int) -> bytes:
 
 
 def headset_adapter() -> bytes:
-    """1.0, stereo out and a microphone; the feature unit 9 has no master volume, ids as they fall.
-
-    The microphone is also mixed into the headphones (13 into 15), past a second feature unit.
-    """
+    """1.0, stereo out and a microphone, also mixed into the headphones; no master volume in 9."""
     units = usb.header_1(
         [1, 2],
         usb.input_1(1, usb.STREAMING_TERMINAL, 2, STEREO),
@@ -194,10 +191,7 @@ def midi_between() -> bytes:
 
 
 def midi_header_names_the_stream() -> bytes:
-    """2.0 with implicit feedback and a volume, and a MIDI function whose header lists interface 1.
-
-    As SSL 2+ (31e9:0002) and Behringer WING. The association spans interfaces 0 to 2 alone.
-    """
+    """2.0 with implicit feedback, and MIDI whose header lists interface 1, as SSL 2+ and WING."""
     units = usb.header_2(
         usb.clock_source(0x29),
         usb.input_2(1, usb.STREAMING_TERMINAL, 0x29, 4, 0),

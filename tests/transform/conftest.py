@@ -11,11 +11,8 @@ CASES_MAX = 6
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark as exhaustive what repeats a property; the marker runs every combination.
-
-    A case stays in the fast tier if one of its parameters has a value that no case before it had.
-    Of more than `CASES_MAX` of those, the first, the last and some between them stay.
-    """
+    """Mark as exhaustive all cases but those with a value of a parameter that no case before had;
+    of more than `CASES_MAX` of those, the first, the last and some between them stay."""
     cases: dict[str, list[pytest.Function]] = defaultdict(list)
     for item in items:
         if isinstance(item, pytest.Function) and HERE in item.path.parents:

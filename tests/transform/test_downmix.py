@@ -1,5 +1,3 @@
-"""The mono mix: surround at the level of stereo, and opposite channels as strong as equal ones."""
-
 import functools
 
 import numpy as np

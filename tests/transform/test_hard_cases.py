@@ -10,8 +10,8 @@ from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.design.synthesis import LiveGrid
 from audioflinger_hook.transform.input_stage import BandPass, design_band_pass
 from audioflinger_hook.transform.reference import ReferenceTransform
+from tests.oracle.analysis import principal_in
 from tests.support import signals
-from tests.support.principal import principal_in
 from tests.support.signals import best_sinusoid, columns, felt_hz, level_db, played, thinned, tone
 
 PARAMETERS = TransformParameters()

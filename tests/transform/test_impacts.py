@@ -1,5 +1,3 @@
-"""Impacts: vibration is at full strength at once and adds to what sounds. Hard cases besides."""
-
 from dataclasses import replace
 
 import numpy as np

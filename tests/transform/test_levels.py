@@ -1,5 +1,3 @@
-"""The level laws and the mappings: what they promise, in either form."""
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-"""The live form: what it must achieve on tones, onsets, noise and recordings."""
-
 import numpy as np
 import pytest
 import soundfile
@@ -9,8 +7,8 @@ from hypothesis import strategies as st
 from audioflinger_hook.transform import HapticTransform, TransformParameters
 from audioflinger_hook.transform.principal import magnitude
 from audioflinger_hook.transform.reference import ReferenceTransform
+from tests.oracle.analysis import principal_in
 from tests.support import signals
-from tests.support.principal import principal_in
 from tests.support.recordings import require_recordings
 from tests.support.signals import SAMPLERATES, best_sinusoid, burst, felt_hz, joined, made, tone
 
@@ -108,10 +106,8 @@ def test_the_reference_form_does_make_such_steps():
 
 
 def agreement_with_reference(sound, samplerate):
-    """Return how many principal frequencies both forms find, the live one, the reference one.
-
-    Both see the same band-passed units, before any pruning; a pair may be half a bin apart.
-    """
+    """Return how many principal frequencies of the same units, before any pruning, both forms find,
+    the live one, the reference one; a pair may be half a bin apart."""
     form = ReferenceTransform(PARAMETERS, samplerate)
     units = np.concatenate((form.cut(sound), form.cut_last()))
     theirs = form._finder.all_principal(magnitude(form._spectrum.transform(units)))

@@ -1,5 +1,3 @@
-"""Partials that a body cannot tell apart: they become one, steady, and lose no energy."""
-
 from dataclasses import replace
 from itertools import pairwise
 

@@ -1,5 +1,3 @@
-"""The transform's parameters: ranges, messages, documentation; and the formats it accepts."""
-
 import inspect
 import itertools
 import math
@@ -88,16 +86,7 @@ def test_what_is_no_finite_number_is_refused(name, value):
         TransformParameters(**{name: value})
 
 
-def test_all_mistakes_are_named_at_once_and_so_are_an_unknown_form_and_too_narrow_a_band():
-    mistakes: dict[str, Any] = {"window_s": 0.5, "band_low_hz": 5.0, "band_high_hz": "high"}
-    mistakes |= {"vibration_top_hz": 1_000.0, "threshold_hz": -1.0, "partials_max": 0}
-    with pytest.raises(UsageError) as refusal:
-        TransformParameters(**mistakes)
-    message = str(refusal.value)
-    assert "\n" not in message
-    for name in mistakes:
-        assert f"{name}=" in message
-    assert message.count("allowed: ") == len(mistakes)
+def test_an_unknown_form_and_too_narrow_a_band_are_refused():
     with pytest.raises(UsageError, match=r"'alive'.*live, reference"):
         HapticTransform(48_000, form="alive")  # type: ignore[arg-type]
     with pytest.raises(UsageError, match=r"vibration_top_hz=100 .*1/window_s=100\.0 Hz.*200\.0"):

@@ -1,7 +1,4 @@
-"""The named savings and corrections: what each may change, which for most of them is nothing.
-
-Each is switched off or undone, and the result compared with the transform as it is.
-"""
+"""Savings and corrections, switched off or undone one by one: for most of them nothing changes."""
 
 from dataclasses import replace
 
@@ -59,6 +56,7 @@ def test_no_saving_changes_more_than_it_states(saving):
     paths = (one for one in require_recordings() if one.stem in ("Side_Left", "Rear_Center"))
     sounds += [soundfile.read(path)[0] for path in paths]
     usual = LiveDesign.of(PARAMETERS, 48_000)
+    assert saving.switch_off(usual) != usual
     for sound in sounds:
         change = vibration_of(saving.switch_off(usual), sound + FAINT)
         change -= vibration_of(usual, sound + FAINT)

@@ -1,5 +1,3 @@
-"""Speech suppression of the live form: what is lowered, and that nothing else changes."""
-
 import functools
 
 import numpy as np

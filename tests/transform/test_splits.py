@@ -1,5 +1,3 @@
-"""Any split of a stream into blocks gives the same bytes, whatever the form, rate and channels."""
-
 import functools
 from itertools import product
 from typing import Any
@@ -12,6 +10,7 @@ from hypothesis import strategies as st
 from audioflinger_hook.config.profiles import parameters_of
 from audioflinger_hook.scenes.speech import speech
 from audioflinger_hook.transform import TransformParameters
+from tests.oracle import vibration_of
 from tests.support import signals
 
 ODD_RATE = 37_123
@@ -38,11 +37,8 @@ every_form = pytest.mark.parametrize("form", signals.FORMS)
 
 @functools.cache
 def busy(samplerate, seconds=1.0):
-    """Return sound that wakes every branch: silences, births and deaths, weak and strong peaks.
-
-    Noise in the middle of the band and low noise around the image's threshold let neighbouring
-    hops differ in whether they hold a peak at all, which a batch must not mix up.
-    """
+    """Return sound that wakes every branch: silences, births and deaths, weak and strong peaks, and
+    low noise around the image's threshold, where neighbouring hops differ in holding a peak."""
     return signals.joined(
         signals.silence(0.1, samplerate),
         signals.tone(300, 0.1, samplerate, 0.7),
@@ -164,3 +160,51 @@ def test_a_block_is_not_written_to_and_may_be_reused_by_its_owner(form):
         played_now[:] = np.nan
     parts.append(transform.finish())
     assert signals.identical(np.concatenate(parts), expected)
+
+
+RATE = 48_000
+HOP = 864
+
+
+def bursts(seconds=1.0, seed=0):
+    """Return noise bursts over a tone: envelopes that depend much on where hops begin."""
+    at = signals.times(seconds, RATE)
+    noise = 0.2 * np.random.default_rng(seed).standard_normal(at.size)
+    wave = signals.tone(200, seconds, RATE, 0.2) + noise * (np.sin(2 * np.pi * 4.3 * at) > 0.6)
+    return signals.columns(wave, 0.5 * wave).astype(np.float32)
+
+
+def after(frames, following):
+    return np.concatenate([np.zeros((frames, 2), np.float32), following])
+
+
+PAUSES = [(0.0, pause) for pause in (1, 333, 480, HOP, 5_000, 60_001, 12 * RATE + 331)]
+
+
+@pytest.mark.parametrize(("seconds", "pause"), [*PAUSES, (1.0, 40_001), (1.0, 96_123)])
+def test_silence_only_delays_what_follows_once_vibration_has_faded(seconds, pause):
+    one, other = bursts(seconds, seed=1), bursts(seed=2)
+    got = signals.played(np.concatenate([one, after(pause, other)]), RATE)
+    assert seconds or not got[:pause].any()
+    wanted = signals.played(other, RATE)
+    np.testing.assert_allclose(got[len(one) + pause :], wanted, rtol=0.0, atol=1e-9)
+
+
+def test_the_core_begins_hops_where_its_oracle_does_and_a_short_gap_moves_none():
+    rng = np.random.default_rng(3)
+    pauses = rng.integers(0, 70_000, 6)
+    frames = np.concatenate([after(pause, bursts(0.3, seed)) for seed, pause in enumerate(pauses)])
+    frames[100_000:100_010, 1] = np.nan
+    got = signals.in_blocks(frames, rng.integers(1, 3_000, len(frames) // 1_500), RATE)
+    np.testing.assert_allclose(got, vibration_of(frames, RATE).samples, rtol=0.0, atol=1e-6)
+    one, other = bursts(seed=1), bursts(seed=2)
+    got = signals.played(np.concatenate([one, after(1_500, other)]), RATE)
+    whole = len(one) // HOP * HOP
+    np.testing.assert_allclose(got[:whole], signals.played(one, RATE)[:whole], rtol=0.0, atol=1e-9)
+    assert np.abs(got).max() < 1.0
+
+
+def test_the_reference_form_cuts_its_units_from_the_beginning_on():
+    got = signals.played(after(333, bursts()), RATE, form="reference")
+    wanted = signals.played(bursts(), RATE, form="reference")
+    assert np.abs(got[333:] - wanted).max() > 1e-3

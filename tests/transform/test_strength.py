@@ -1,5 +1,3 @@
-"""Strength by loudness: vibration as strong as sound is loud, at any volume, and nothing pumps."""
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""What a transform tells of its partials: those of the latest hop, and a recording of all."""
-
 from itertools import pairwise
 
 import numpy as np

@@ -25,7 +25,6 @@ from device.units import Float32Array
 
 CAPTURES_MAX = 32  # largest number of captured streams, which limits the CPU load
 
-NO_APPLICATION = "no application plays"
 NONE_SUCH = "no application that the tap names plays; `cushion devices` lists those that do"
 
 
@@ -48,7 +47,7 @@ class Applications:
     def name(self) -> str:
         """Names of the applications, separated by commas."""
         names = dict.fromkeys(app_name(stream) for stream in self.streams)
-        return ", ".join(names) or NO_APPLICATION
+        return ", ".join(names) or "no application plays"
 
     @property
     def why_silent(self) -> str:
@@ -200,7 +199,15 @@ class ApplicationsInput(Input):
         try:
             if captures is None:
                 captures = self._captures = AppCaptures()
-            self._follow(captures, now_s)
+            wanted = {stream.index: stream for stream in self._found.streams}
+            for index, (capture, _) in tuple(self._open.items()):
+                if capture.ended is EndReason.TAKEN:
+                    self._states.recover(Cause.TAP_MOVED, now_s, str(capture.ended))
+                if capture.ended is not None or index not in wanted:
+                    self._end(index)
+            for index, stream in wanted.items():
+                if index not in self._open:
+                    self._begin(captures, stream)
         except CushionError:
             self._backoff.failed(now_s)
             raise
@@ -213,17 +220,6 @@ class ApplicationsInput(Input):
         captures, self._captures = self._captures, None
         if captures is not None:
             captures.close()
-
-    def _follow(self, captures: AppCaptures, now_s: float) -> None:
-        wanted = {stream.index: stream for stream in self._found.streams}
-        for index, (capture, _) in tuple(self._open.items()):
-            if capture.ended is EndReason.TAKEN:
-                self._states.recover(Cause.TAP_MOVED, now_s, str(capture.ended))
-            if capture.ended is not None or index not in wanted:
-                self._end(index)
-        for index, stream in wanted.items():
-            if index not in self._open:
-                self._begin(captures, stream)
 
     def _begin(self, captures: AppCaptures, stream: Stream) -> None:
         voices = self._feed.voices

@@ -107,29 +107,23 @@ class _Player:
             plays = self._engine.delay_line.status.state in PLAYING
             self._in_lead_in = self._led_in_s < (LEAD_IN_S if plays else LEAD_IN_MAX_S)
         elif self._next is not None:
-            self._deliver(self._next, now_s)
+            tap = self._tap
+            self._feed.opened(tap.samplerate, tap.channels, discontinuity=tap.discontinuity)
+            self._feed.push(self._next, now_s)
+            self._played.add(len(self._next), tap.samplerate)
+            self._next = tap.read()
         elif self._tail is None or len(self._tail):
-            self._send_tail(now_s)
+            tail = self._feed.finish(now_s) if self._tail is None else self._tail
+            part, self._tail = tail[:BLOCK_FRAMES], tail[BLOCK_FRAMES:]
+            block = self._silence.copy()
+            block[: len(part)] = part
+            self._run_out_s = self._engine.delay_line.status.delay_s + RUN_OUT_S
+            self._send(block, now_s)
         else:
             self._send(self._silence, now_s)
             self._run_out_s -= BLOCK_FRAMES / self._engine.samplerate
             self.ended = self._run_out_s <= 0.0
         return not self.ended
-
-    def _deliver(self, frames: Float32Array, now_s: float) -> None:
-        tap = self._tap
-        self._feed.opened(tap.samplerate, tap.channels, discontinuity=tap.discontinuity)
-        self._feed.push(frames, now_s)
-        self._played.add(len(frames), tap.samplerate)
-        self._next = tap.read()
-
-    def _send_tail(self, now_s: float) -> None:
-        tail = self._feed.finish(now_s) if self._tail is None else self._tail
-        part, self._tail = tail[:BLOCK_FRAMES], tail[BLOCK_FRAMES:]
-        block = self._silence.copy()
-        block[: len(part)] = part
-        self._run_out_s = self._engine.delay_line.status.delay_s + RUN_OUT_S
-        self._send(block, now_s)
 
     def _send(self, block: Float32Array, now_s: float) -> None:
         self._engine.delay_line.write(block, now_s)

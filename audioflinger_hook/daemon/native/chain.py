@@ -24,7 +24,6 @@ NAME = "haptic-cushion"  # prefix of the names of nodes and files
 END_S = 0.2  # longest wait for the end of the process; then the process is killed
 POLICY_FIELD = 38  # index in /proc/PID/task/TID/stat after the program's name; see proc(5)
 PLUGIN = "haptic_cushion: "  # prefix of the plugin's messages
-LOG_BYTES = 2_000  # number of bytes that are read from the end of the log
 
 _numbers = count(1)
 
@@ -255,7 +254,7 @@ class Chain:
 
     def _said(self) -> list[str]:
         try:
-            text = self._files["log"].read_bytes()[-LOG_BYTES:]
+            text = self._files["log"].read_bytes()[-2_000:]
         except OSError:
             return []
         return text.decode("utf-8", "replace").strip().splitlines()

@@ -19,7 +19,6 @@ FADE_S = 0.4  # longest wait for a fade, which never ends while the graph is idl
 STUCK_S = 1.0  # time without progress, after which a chain is replaced if a stream plays
 START_S = 5.0  # longest time from the start of a process until its ports exist
 RESTART_S = 1.5  # age at which a process is restarted once; PipeWire 0.3 stalls 2 % of clients
-START_WAIT_S = 1.0  # longest wait between two attempts to start a process
 SETTLED_FRAMES = 9_600  # number of frames that a new chain processes before it plays
 SETTLED_S = 0.3  # longest wait for these frames, in case nothing plays
 PRIORITY_S = 1.0  # time from linking a chain until the priority of its process is checked
@@ -117,7 +116,7 @@ class Chains:
         self._sound_gain, self._offset_s = 1.0, 0.0
         self._has_restarted = False
         self.problem = ""
-        self.backoff = Backoff(longest_s=START_WAIT_S)
+        self.backoff = Backoff(longest_s=1.0)
         self.current: RunningChain | None = None
         self.following: RunningChain | None = None
         self.leaving: list[RunningChain] = []

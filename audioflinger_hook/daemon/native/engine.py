@@ -96,7 +96,13 @@ class NativeEngine:
         """
         self._faded_s = math.inf
         tap = taps.tap_of(found, self._config.rules, self._config.left_out)
-        self._note_moves(tap)
+        before, self._tap = self._tap, tap
+        if before != tap:
+            if not self._must_use_monitor:
+                self.monitor_reason = ""
+            is_moved = before and before.sink and tap.sink and before.sink != tap.sink
+            if is_moved and self._config.tap.kind == "default":
+                self._states.count(Cause.DEFAULT_CHANGED, f"the tap is now: {tap.name}")
         if self.watch.lost:
             raise LostError("the connection to PipeWire's graph was lost")
         with self.watch.lock:
@@ -110,8 +116,7 @@ class NativeEngine:
             except LostError:
                 self.audible = self.audible and chains.current is not None
                 raise
-            plan = ChainPlan.of(self._config.settings, tap, chains.samplerate(graph))
-            chains.make(plan, now_s)
+            chains.make(ChainPlan.of(self._config.settings, tap, chains.samplerate(graph)), now_s)
             self._wire(tap, device, now_s)
             self._note_links(now_s)
             self._choose_way(now_s)
@@ -163,17 +168,6 @@ class NativeEngine:
         self.audible = False
         self.errors.close()
         self.watch.close()
-
-    def _note_moves(self, tap: taps.Tap) -> None:
-        before, self._tap = self._tap, tap
-        if before == tap:
-            return
-        if not self._must_use_monitor:
-            self.monitor_reason = ""
-        if before is None or not (before.sink and tap.sink) or before.sink == tap.sink:
-            return
-        if self._config.tap.kind == "default":
-            self._states.count(Cause.DEFAULT_CHANGED, f"the tap is now: {tap.name}")
 
     def _has_session(self, now_s: float) -> bool:
         """Return whether the session manager runs; end all chains after its end or restart.

@@ -16,7 +16,6 @@ from audioflinger_hook.core.structures import (
 MAGIC = 0x3645474150485543
 BANKS = 2  # design n uses bank n % BANKS
 ACTUATORS = 32  # largest number of actuators of the plugin
-READ_TRIES = 4  # largest number of attempts to read partials between two writes of the plugin
 
 
 class Bank(ctypes.Structure):
@@ -81,7 +80,7 @@ class ShownReader:
         """Return levels and partials; no partials if each attempt coincides with a write."""
         first = 2 * self.channels
         partials, bank_at = first + 2, self._bank_at
-        for _ in range(READ_TRIES):
+        for _ in range(4):  # the plugin may write meanwhile
             found = self._shown.unpack_from(self._memory, bank_at + _SHOWN_AT)
             (again,) = _COUNT.unpack_from(self._memory, bank_at + _SEQUENCE_AT)
             if found[first] == again and not again % 2:

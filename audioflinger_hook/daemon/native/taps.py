@@ -58,7 +58,12 @@ class Tap:
         """Yield the links from tapped streams to sinks. device: sink to leave out."""
         haptic = graph.sink(device)
         avoided = haptic.id if haptic else None
-        microphones = microphones_in(graph)
+        microphones = tuple(  # streams that record from anything except the monitor of a sink
+            stream_of(graph, node)
+            for node in graph.nodes.values()
+            if node.properties.get("media.class") == "Stream/Input/Audio"
+            and str(node.properties.get("stream.capture.sink")).lower() != "true"
+        )
         for sink in graph.nodes_named(self.sink) if self.sink else graph.nodes.values():
             if sink.id == avoided or not sink.is_sink:
                 continue
@@ -99,16 +104,6 @@ def tap_of(
     if isinstance(found, Source):
         return Tap(found.name, positions, found.monitor_of or "", None, left_out)
     return Tap(found.name, positions, found.sink, rules, left_out)
-
-
-def microphones_in(graph: Graph) -> tuple[Stream, ...]:
-    """Return the streams that record from anything except the monitor of a sink."""
-    return tuple(
-        stream_of(graph, node)
-        for node in graph.nodes.values()
-        if node.properties.get("media.class") == "Stream/Input/Audio"
-        and str(node.properties.get("stream.capture.sink")).lower() != "true"
-    )
 
 
 def stream_of(graph: Graph, node: Node) -> Stream:

@@ -38,8 +38,7 @@ def amplifier_sections(
     """Return the amplifier's filters, except a low-pass far above all resonances, (n, 6)."""
     highest_hz = max(model.resonance_hz for model in models)
     far = amplifier.high_cut_hz > _FAR_ABOVE * highest_hz
-    high_cut_hz = np.inf if far else amplifier.high_cut_hz
-    return Band(amplifier.low_cut_hz, high_cut_hz, samplerate).sections
+    return Band(amplifier.low_cut_hz, np.inf if far else amplifier.high_cut_hz, samplerate).sections
 
 
 class DriveModel:
@@ -193,7 +192,13 @@ def prediction_records(
     tail_share = 1.0 / (excursion_m - slack_m - tail_slack_m)
     # counted back from the last frame of the block
     watched = np.arange(block_frames - 1, -1, -stride)[::-1]
-    steps = [_responses(drive, block_frames) for drive in drives]
+    steps = []  # states after an impulse, last frame first; powers 1 to block_frames of `step`
+    for drive in drives:
+        powers = [np.eye(drive.states)]
+        for _ in range(block_frames):
+            powers.append(drive.step @ powers[-1])
+        impulse = np.array([power @ drive.drive for power in powers[:-1]])[::-1]
+        steps.append((impulse, np.array(powers[1:])))
     unmoved_ohm = believed.resistance_ohm + drives[0].source_impedance_ohm
     rows = [volts / unmoved_ohm * np.eye(states)[LAST]]
     rows += [drive.i_row for drive in drives[:current_models]]
@@ -241,15 +246,6 @@ def _reachable(factor: float, reaches: Sequence[float]) -> FloatArray:
     return np.minimum(factor * np.array(reaches), _UNREACHABLE)
 
 
-def _responses(drive: DriveModel, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the states after an impulse, last frame first, and powers 1 to `count` of `step`."""
-    powers = [np.eye(drive.states)]
-    for _ in range(count):
-        powers.append(drive.step @ powers[-1])
-    impulse = np.array([power @ drive.drive for power in powers[:-1]])[::-1]
-    return impulse, np.array(powers[1:])
-
-
 def _slacks_m(drives: Sequence[DriveModel], limit_m: float, stride: int) -> tuple[float, float]:
     """Return the largest rises of excursion, m, between computed frames: in a block, in the tail.
 
@@ -275,8 +271,7 @@ def _slacks_m(drives: Sequence[DriveModel], limit_m: float, stride: int) -> tupl
 def _tail(drive: DriveModel, block_frames: int) -> FloatArray:
     """Return rows that give x in m over 1.25 periods of free oscillation, (points, states).
 
-    The interval between two points divides the length of a block, so that the next block computes
-    the same points.
+    The points' interval divides the length of a block, so the next block computes the same points.
     """
     rate, hz = drive.samplerate, drive.model.resonance_hz
     wanted = max(1.0, rate / hz / _TAIL_POINTS)

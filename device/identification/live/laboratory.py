@@ -197,7 +197,16 @@ class LiveLaboratory:
             self._check_end(samples, background, name)
         delay = two_clocks.find_delay(excitation, after, clearest)
         drift = two_clocks.find_drift(excitation, after, delay, clearest)
-        self._compare(drift, clearest)
+        for before in self._drifts:
+            change = abs(drift.value - before.value)
+            if change > MOST_CHANGE_PPM + drift.reach + before.reach:
+                raise two_clocks.DropoutError(
+                    f"{clearest}: the clocks differ by {drift.value:+.0f} ppm, in an earlier sweep "
+                    f"by {before.value:+.0f}: frames were lost or added; close other programs, and "
+                    "sweep again"
+                )
+        self._drifts.append(drift)
+        self.drift = drift
         self.delay_s = delay / sweep.samplerate
         first = background + delay + excitation.sweep_start * (1.0 + 1e-6 * drift.value)
         read = {
@@ -251,18 +260,6 @@ class LiveLaboratory:
                 f"{name}: {after:.3g} r.m.s. of full scale after the sweep, {noise:.3g} before it: "
                 "something else began to play or to move the cushion; stop it, and sweep again"
             )
-
-    def _compare(self, drift: two_clocks.Drift, name: str) -> None:
-        for before in self._drifts:
-            change = abs(drift.value - before.value)
-            if change > MOST_CHANGE_PPM + drift.reach + before.reach:
-                raise two_clocks.DropoutError(
-                    f"{name}: the clocks differ by {drift.value:+.0f} ppm, in an earlier sweep by "
-                    f"{before.value:+.0f}: frames were lost or added; close other programs, and "
-                    "sweep again"
-                )
-        self._drifts.append(drift)
-        self.drift = drift
 
 
 def _check_hum(silence: FloatArray, loud: float, samplerate: float, name: str) -> float:

@@ -62,13 +62,8 @@ def parse_dump(content: bytes) -> tuple[bytes, ...]:
         return (content,)
     text = content.decode("utf-8", errors="replace").removeprefix("\N{BOM}")
     text = text.replace("\r\n", "\n")
-    if _OF_LSUSB.search(text):
-        return _devices_of_lsusb(text)
-    ours = _OUR_BYTES.findall(text)
-    return tuple(parse_hex(part) for part in ours or [text])
-
-
-def _devices_of_lsusb(text: str) -> tuple[bytes, ...]:
+    if not _OF_LSUSB.search(text):
+        return tuple(parse_hex(part) for part in _OUR_BYTES.findall(text) or [text])
     found = [_Lsusb()]
     inside = True
     for number, line in enumerate(text.splitlines(), 1):

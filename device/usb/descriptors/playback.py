@@ -70,14 +70,20 @@ def playback_formats(configuration: Configuration) -> tuple[PlaybackFormat, ...]
     units are never known. configuration: the device's configuration.
     """
     functions = topologies(configuration)
-    implicit = _implicit_endpoints(configuration, functions)
+    streaming = [interface for interface in configuration.interfaces if interface.is_streaming]
+    # each function's first implicit feedback endpoint, by control interface
+    implicit: dict[int, int] = {}
+    for interface in streaming:
+        function = functions.get(interface.number)
+        for one in _isochronous(interface):
+            if function and one.usage is Usage.IMPLICIT_FEEDBACK and one.to_host:
+                implicit.setdefault(function.control.number, one.address)
     found = []
-    for interface in configuration.interfaces:
-        endpoint = next((one for one in interface.endpoints if _takes_samples(one)), None)
-        if not interface.is_streaming or endpoint is None:
-            continue
-        samples = _samples(interface, endpoint)
-        if samples:
+    for interface in streaming:
+        outward = (one for one in _isochronous(interface) if not one.to_host)
+        endpoint = next((one for one in outward if one.usage is not Usage.FEEDBACK), None)
+        samples = _samples(interface, endpoint) if endpoint else None
+        if endpoint and samples:
             function = functions.get(interface.number) if interface.uac != 3 else None
             found.append(_playback(interface, endpoint, samples, function, implicit))
     return tuple(found)
@@ -94,8 +100,7 @@ def _samples(interface: Interface, endpoint: Endpoint) -> StreamFormat | None:
         if general:
             samples = StreamFormat(general.subslot_bytes, general.bits)
         else:
-            frame_bytes = endpoint.packet_bytes // _BASIC_FRAMES
-            channels, size = _BASIC_FRAME_BYTES.get(frame_bytes, (0, 0))
+            channels, size = _BASIC_FRAME_BYTES.get(endpoint.packet_bytes // _BASIC_FRAMES, (0, 0))
             samples = StreamFormat(size, 8 * size, channels, (1_000 * _BASIC_FRAMES,))
         return samples if samples.subslot_bytes else None
     if not general or not stream_format or not stream_format.subslot_bytes:
@@ -150,9 +155,8 @@ def _playback(
     )
 
 
-def _takes_samples(endpoint: Endpoint) -> bool:
-    isochronous = endpoint.transfer is Transfer.ISOCHRONOUS
-    return isochronous and not endpoint.to_host and endpoint.usage is not Usage.FEEDBACK
+def _isochronous(interface: Interface) -> list[Endpoint]:
+    return [one for one in interface.endpoints if one.transfer is Transfer.ISOCHRONOUS]
 
 
 def _feedback(interface: Interface, endpoint: Endpoint) -> int | None:
@@ -162,25 +166,10 @@ def _feedback(interface: Interface, endpoint: Endpoint) -> int | None:
     bSynchAddress, sometimes without the direction bit. If there is neither, an asynchronous data
     endpoint uses the first isochronous IN data endpoint of the same setting.
     """
-    isochronous = [one for one in interface.endpoints if one.transfer is Transfer.ISOCHRONOUS]
-    beside = [one for one in isochronous if one.to_host]
+    beside = [one for one in _isochronous(interface) if one.to_host]
     synch = endpoint.synch_address
     asynchronous = endpoint.synchronisation is Synchronisation.ASYNCHRONOUS
     marked = [one.address for one in beside if one.usage is Usage.FEEDBACK]
     named = [one.address for one in beside if synch and one.address == synch | 0x80]
     others = [one.address for one in beside if asynchronous and one.usage is Usage.DATA]
     return next(iter(marked + named + others), None)
-
-
-def _implicit_endpoints(
-    configuration: Configuration, functions: dict[int, Topology]
-) -> dict[int, int]:
-    """Return each function's first implicit feedback endpoint, keyed by control interface."""
-    found: dict[int, int] = {}
-    for interface in configuration.interfaces:
-        function = functions.get(interface.number) if interface.is_streaming else None
-        for endpoint in interface.endpoints:
-            marked = endpoint.usage is Usage.IMPLICIT_FEEDBACK and endpoint.to_host
-            if function and marked and endpoint.transfer is Transfer.ISOCHRONOUS:
-                found.setdefault(function.control.number, endpoint.address)
-    return found

@@ -138,8 +138,18 @@ def _interface(group: list[Block]) -> list[Interface]:
     interface = replace(interface, endpoints=endpoints)
     own = [block for block in others if block.type == CS_INTERFACE]
     if interface.is_control and uac < 3:
-        return [_control(interface, own, uac)]
-    return [_streaming(interface, own, uac) if interface.is_streaming else interface]
+        headers = [read_header(block, uac) for block in own if block.subtype == 1]
+        entities = (read_entity(block, uac) for block in own if block.subtype != 1)
+        listed = headers[0] if headers else None
+        return [replace(interface, entities=tuple(filter(None, entities)), listed=listed)]
+    if interface.is_streaming:
+        generals = [read_general(block, uac) for block in own if block.subtype == 1]
+        formats = [read_format(block, uac) for block in own if block.subtype == 2 and uac < 3]
+        general = next(filter(None, generals), None)
+        # the first format of type I, or else the first format
+        found = max(filter(None, formats), key=lambda each: each.subslot_bytes > 0, default=None)
+        interface = replace(interface, general=general, format=found)
+    return [interface]
 
 
 def _endpoint(block: Block) -> Endpoint:
@@ -155,22 +165,6 @@ def _endpoint(block: Block) -> Endpoint:
         interval=raw[6],
         synch_address=raw[8] if len(raw) > 8 else 0,
     )
-
-
-def _control(interface: Interface, own: list[Block], uac: int) -> Interface:
-    headers = [read_header(block, uac) for block in own if block.subtype == 1]
-    entities = (read_entity(block, uac) for block in own if block.subtype != 1)
-    listed = headers[0] if headers else None
-    return replace(interface, entities=tuple(filter(None, entities)), listed=listed)
-
-
-def _streaming(interface: Interface, own: list[Block], uac: int) -> Interface:
-    generals = [read_general(block, uac) for block in own if block.subtype == 1]
-    formats = [read_format(block, uac) for block in own if block.subtype == 2 and uac < 3]
-    general = next(filter(None, generals), None)
-    # the first format of type I, or else the first format
-    found = max(filter(None, formats), key=lambda each: each.subslot_bytes > 0, default=None)
-    return replace(interface, general=general, format=found)
 
 
 def parse_whole(raw: bytes) -> WholeDevice:
