@@ -105,6 +105,7 @@ async function scene({ target }) {
   await choose(new File([bytes], name, { type: "audio/wav" }), target.textContent);
   await prepare();
   await player.play();
+  say(`${target.textContent} plays.${second.context ? "" : ` ${ONLY_SHOWN}`}`);
 }
 
 async function take({ target }) {
