@@ -1,6 +1,6 @@
 // The second output: vibration on a device of its own, whose clock is kept beside the clock of the sound.
 
-const FOLLOW_S = 2, PPM_MAX = 5000, JUMP_MS = 5, REST = 10, KEPT = 99, FEW = 20, PAUSED_MS = 8, WATCH_MS = 100, ROUTE_MS = 40;
+const FOLLOW_S = 2, PPM_MAX = 5000, JUMP_MS = 5, REST = 10, KEPT = 99, FEW = 20, PAUSED_MS = 8, WATCH_MS = 100, LOOK_MS = 250, ROUTE_MS = 40;
 const DEFAULTS = ["default", "communications", ""]; // never felt by accident: these may be the speakers
 
 export const canChoose = () => "setSinkId" in AudioContext.prototype || "setSinkId" in HTMLMediaElement.prototype;
@@ -80,7 +80,7 @@ export class SecondOutput {
     context.onerror = () => this.told({ gone: true });
     await context.resume();
     this.setGain(this.gain);
-    this.timer = setInterval(() => this.watch(), WATCH_MS);
+    this.timers = [setInterval(() => this.watch(), WATCH_MS), setInterval(() => this.look(), LOOK_MS)];
   }
 
   /** The port that takes vibration. */
@@ -95,11 +95,6 @@ export class SecondOutput {
     this.level?.gain.setTargetAtTime(gain, this.context.currentTime, 0.02);
   }
 
-  /** delay: s by which the sound is held back. latency: s of the transform. */
-  align(delay, latency) {
-    Object.assign(this, { delay, latency });
-  }
-
   /** s by which the sound must be held back, so that the vibration can come with it. */
   wanted(latency) {
     const ahead = (this.context.outputLatency || 0) - (this.sound.outputLatency || 0);
@@ -110,6 +105,7 @@ export class SecondOutput {
     const latest = this.latest, [felt, heard] = [this.context, this.sound].map((context, which) => this.clocks[which].of(context));
     if (!latest) return;
     this.latest = null;
+    // delay: s by which the sound is held back; latency: s of the transform
     const position = latest.position / this.sound.sampleRate - this.latency + this.delay;
     const apart = felt + 1000 * latest.time + (this.element ? ROUTE_MS : 0) - (heard + 1000 * position);
     const { rate, jump, ppm } = this.lock.step(apart);
@@ -117,8 +113,14 @@ export class SecondOutput {
     this.told({ apart, ppm, dry: latest.dry });
   }
 
+  /** Look for the device: browsers do not tell of each that goes. */
+  async look() {
+    const found = await outputs();
+    if (this.deviceId && !found.some(({ deviceId }) => deviceId === this.deviceId)) this.told({ gone: true });
+  }
+
   close() {
-    clearInterval(this.timer);
+    this.timers?.forEach(clearInterval);
     this.element?.pause();
     this.context?.close();
     Object.assign(this, { context: null, level: null, element: null, deviceId: "" });

@@ -177,7 +177,7 @@ function join() {
 
 function align(seconds = second.wanted(latency)) {
   delay.delayTime.value = seconds;
-  second.align(seconds, latency);
+  Object.assign(second, { delay: seconds, latency });
 }
 
 function follow({ gone: lost, apart, ppm, dry: count }) {
