@@ -64,13 +64,18 @@ def opened(chromium, site, script="", **options):
     page = context.new_page()
     page.on("console", lambda message: said.append(message.text))
     page.on("pageerror", lambda error: said.append(str(error)))
-    own = (site, "blob:")
-    page.on("request", lambda asked: asked.url.startswith(own) or said.append(asked.url))
+    page.on(
+        "request", lambda asked: said.extend({asked.url} if is_foreign(asked.url, site) else ())
+    )
     page.goto(site)
     page.wait_for_function("document.getElementById('profile').length || !window.WebAssembly")
     yield page
     context.close()
     assert said == []
+
+
+def is_foreign(url: str, site: str) -> bool:
+    return not url.startswith((site, "blob:"))
 
 
 def saved(page, path: Path, profile: str, folder: Path) -> bytes:

@@ -32,6 +32,7 @@ def in_node(design: bytes, sound: np.ndarray, block: int, folder: Path) -> tuple
 
 
 @needs_node
+@pytest.mark.sweep
 @pytest.mark.parametrize("rate", [44_100, 48_000])
 @pytest.mark.parametrize("profile", PROFILES)
 def test_each_profile_gives_the_bytes_of_the_compiled_core(profile, rate, tmp_path):
@@ -51,6 +52,7 @@ def test_each_profile_gives_the_bytes_of_the_compiled_core(profile, rate, tmp_pa
     assert b"the design is damaged" in refused.value.stderr
 
 
+@pytest.mark.exhaustive
 def test_the_committed_core_is_small_and_is_what_its_sources_give(tmp_path):
     assert WASM.stat().st_size <= 200_000
     if importlib.util.find_spec("ziglang") is None:

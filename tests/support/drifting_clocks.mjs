@@ -1,11 +1,13 @@
 // Plays vibration on a simulated clock that differs by some ppm; prints the worst error in ms after the first 5 s.
 
+import { load } from "./page_module.mjs";
+
 Object.assign(globalThis, { sampleRate: 48000, currentTime: 0 });
 globalThis.AudioWorkletProcessor = class { port = { postMessage: (message) => { globalThis.told = message.position; } }; };
 globalThis.registerProcessor = (_, kind) => { globalThis.Player = kind; };
 globalThis.AudioContext = globalThis.HTMLMediaElement = class {};
-await import("../../audioflinger_hook/monitor/static/try/player.js");
-const { ClockLock } = await import("../../audioflinger_hook/monitor/static/try/output.js");
+await load("player.js");
+const { ClockLock } = await load("output.js");
 
 const QUANTUM = 128, PERIOD = 256, SECONDS = 120, DELAY_S = 0.06, found = {};
 for (const ppm of [-300, -20, 0, 100, 300]) {

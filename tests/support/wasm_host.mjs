@@ -1,7 +1,9 @@
 // usage: node wasm_host.mjs WASM DESIGN CHANNELS BLOCK <sound >vibration    interleaved float32 of both
 
 import { readFileSync, writeFileSync } from "node:fs";
-import { Core } from "../../audioflinger_hook/monitor/static/try/core.js";
+import { load } from "./page_module.mjs";
+
+const { Core } = await load("core.js");
 
 const [wasm, design, channels, block] = process.argv.slice(2);
 const core = new Core(readFileSync(wasm), new Uint8Array(readFileSync(design)), Number(channels));
