@@ -25,9 +25,15 @@ class Handler(SimpleHTTPRequestHandler):
         """Write no line for each request."""
 
 
-def server(folder: Path, port: int) -> ThreadingHTTPServer:
+class Server(ThreadingHTTPServer):
+    """Serves a browser that opens many connections at once."""
+
+    request_queue_size = 64
+
+
+def server(folder: Path, port: int) -> Server:
     """Return a server of a folder on this computer. port: 0 for any. OSError: it is in use."""
-    return ThreadingHTTPServer(("127.0.0.1", port), partial(Handler, directory=str(folder)))
+    return Server(("127.0.0.1", port), partial(Handler, directory=str(folder)))
 
 
 def write(folder: Path) -> None:
