@@ -327,15 +327,26 @@ def test_a_film_is_made_fast_and_can_be_cancelled_and_live_sound_is_felt_soon(
         assert delay_ms < 15.0
 
 
+PLAIN = """() => {
+  window.plain = new AudioContext();
+  new ConstantSourceNode(window.plain, { offset: 0 }).connect(window.plain.destination);
+}"""
+BEHIND = """[window.cushion.context, window.plain].map(
+  ({ currentTime }) => performance.now() - 1000 * currentTime)"""
+
+
 @pytest.mark.soak
 def test_no_quantum_is_missed_in_twenty_minutes(site, chromium):
     with opened(chromium, site) as page:
         page.click("[data-scene=engine]")
         page.evaluate(LOOP)
         page.wait_for_timeout(2_000)
-        behind = "performance.now() - 1000 * window.cushion.context.currentTime"
-        first = min(page.evaluate(behind) for _ in range(200))
+        page.evaluate(PLAIN)
+        page.wait_for_timeout(1_000)
+        first = np.min([page.evaluate(BEHIND) for _ in range(200)], axis=0)
         page.wait_for_timeout(1_200_000)
-        lost_ms = min(page.evaluate(behind) for _ in range(200)) - first
-        print(f"the audio's clock is {lost_ms:.2f} ms behind the page's after 20 minutes")
-        assert lost_ms < 2.6
+        own_ms, plain_ms = np.min([page.evaluate(BEHIND) for _ in range(200)], axis=0) - first
+    print(f"lost in 20 minutes: {own_ms:.2f} ms, without a worklet {plain_ms:.2f} ms")
+    if own_ms > 2.6 and plain_ms > 2.6:
+        pytest.skip("the machine is too busy for any sound of the browser")
+    assert own_ms <= 2.6
