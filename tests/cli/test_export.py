@@ -159,11 +159,12 @@ def test_a_long_sound_is_told_at_the_start(name: str, tmp_path: Path, folder: Pa
 def test_memory_does_not_grow_with_the_length(name: str, folder: Path) -> None:
     second, out = noise(8_000).astype(np.float32), folder / "out"
     options, peaks = ExportOptions(name, 1_000 if name in ("wav", "flac") else None), []
-    for seconds in (20, 20, 80):  # the first run loads what is loaded once
+    for seconds in (20, 20, 200):  # the first run loads what is loaded once
         tracemalloc.start()
         export(TapClient(again(second, seconds)), out, Settings(), options)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    assert peaks[2] < peaks[1] + 250_000  # the sound alone takes 1.9 MB more
+    # The sound alone takes 5.8 MB more. Up to 16 blocks of glides, 95 kB each, wait for a thread.
+    assert peaks[2] < peaks[1] + 1_600_000
     if name != "partials":
-        assert soundfile.info(out).duration == 80.0
+        assert soundfile.info(out).duration == 200.0
