@@ -1,14 +1,21 @@
-"""Files that appear complete at their path, or not at all.
+"""Files that appear complete at their path, or not at all; and temporary folders.
 
 On Linux the content is first written to an unnamed file (O_TMPFILE). The file gets its name last,
 so that even kill -9 leaves no partial file. If the filesystem does not support O_TMPFILE, a hidden
-file `.NAME.XXXX.part` is written first. This hidden file may remain after kill -9.
+file `.NAME.XXXX.part` is written first. This hidden file may remain after kill -9. If a process is
+killed, a later one on the same computer deletes its temporary folders.
 """
 
-import contextlib
 import errno
+import fcntl
+import glob
 import os
+import platform
+import shutil
 import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 from device.errors import CushionError, UsageError, WriteError
@@ -28,7 +35,7 @@ _FOLDER_FLAGS = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEX
 _MODE = 0o666  # reduced by the umask
 
 
-class AtomicFile(contextlib.AbstractContextManager["AtomicFile"]):
+class AtomicFile(AbstractContextManager["AtomicFile"]):
     """A new file that appears at `path` only when `commit` succeeds.
 
     Before `commit`, and after `abort` or kill -9, an existing file at `path` is unchanged. A `with`
@@ -103,7 +110,7 @@ class AtomicFile(contextlib.AbstractContextManager["AtomicFile"]):
     def abort(self) -> None:
         """Discard the new file. After `commit` or `abort`, this has no effect."""
         if self._part is not None:
-            with contextlib.suppress(OSError):  # the folder may be deleted
+            with suppress(OSError):  # the folder may be deleted
                 os.unlink(self._part, dir_fd=self._folder_fd)
             self._part = None
         for fd in (self._file_fd, self._folder_fd):
@@ -134,14 +141,14 @@ class AtomicFile(contextlib.AbstractContextManager["AtomicFile"]):
         self._part = part
 
     def _keep_rights(self, model: Path) -> None:
-        with contextlib.suppress(OSError):  # there is none, or it has no extended attributes
+        with suppress(OSError):  # there is none, or it has no extended attributes
             found = model.stat()
             for uid, gid in ((-1, found.st_gid), (found.st_uid, -1)):
-                with contextlib.suppress(OSError):  # only root may give a file away
+                with suppress(OSError):  # only root may give a file away
                     os.chown(self._file_fd, uid, gid)
             os.fchmod(self._file_fd, found.st_mode & 0o777)
             for name in os.listxattr(model):  # such as access control lists
-                with contextlib.suppress(OSError):
+                with suppress(OSError):
                     os.setxattr(self._file_fd, name, os.getxattr(model, name))
 
     def _part_name(self) -> str:
@@ -179,7 +186,7 @@ def write_private(path: Path, content: bytes) -> None:
 def remove_file(path: Path) -> None:
     """Remove a file or link, if there is one. UsageError: it cannot be removed."""
     try:
-        with contextlib.suppress(NotADirectoryError):
+        with suppress(NotADirectoryError):
             path.unlink(missing_ok=True)
     except OSError as error:
         raise UsageError(f"cannot remove {path}: {error.strerror}; remove it yourself") from error
@@ -235,3 +242,42 @@ def make_private_folder(folder: Path) -> None:
         in_way = isinstance(error, (FileExistsError, NotADirectoryError))
         advice = "rename or remove the file in its place" if in_way else "make it yourself"
         raise UsageError(f"cannot make the folder {folder}: {error.strerror}; {advice}") from error
+
+
+# Other computers do not see a lock on a shared folder, so each deletes only its own folders.
+PREFIX = f".cushion-run-{platform.node()}-"
+
+
+@contextmanager
+def temporary_folder(above: str | Path | None = None) -> Iterator[Path]:
+    """Yield a new folder, and delete it at the end. above: its parent folder; default: TMPDIR."""
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=above))
+        with suppress(FileNotFoundError):  # another process has just taken it for abandoned
+            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+            with suppress(OSError):  # the file system has no locks
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            if folder.exists():
+                break
+            os.close(lock)
+    owner = os.getpid()
+    try:
+        yield folder
+    finally:
+        if os.getpid() == owner:  # not in a fork of this process
+            shutil.rmtree(folder, ignore_errors=True)
+        os.close(lock)
+
+
+def delete_abandoned_folders(above: Path | None = None) -> None:
+    """Delete the folders in `above`, or TMPDIR and /tmp, that ended processes have left."""
+    places = [above] if above else {Path(tempfile.gettempdir()), Path("/tmp")}
+    for folder in [one for place in places for one in place.glob(f"{glob.escape(PREFIX)}*")]:
+        with suppress(OSError):  # it is in use, or another process deletes it
+            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            try:
+                if os.fstat(lock).st_uid == os.getuid():
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    shutil.rmtree(folder, ignore_errors=True)
+            finally:
+                os.close(lock)

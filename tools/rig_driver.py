@@ -10,7 +10,7 @@ from audioflinger_hook.drive.drive import DrivenRig
 from device.drive.damping import Damping
 from device.drive.design import DriveDesign
 from device.drive.exposure import Exposure
-from device.drive.protection.limits import Limits, ProtectionStatus, limits_of
+from device.drive.protection.design import Limits, ProtectionStatus, limits_of
 from device.rig import Rig
 from device.units import Float32Array, FloatArray
 

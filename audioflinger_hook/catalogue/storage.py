@@ -16,9 +16,8 @@ from typing import Any, TypeVar
 
 from audioflinger_hook.catalogue.addresses import filesystem_of, is_url, remote_errors, scrubbed
 from audioflinger_hook.catalogue.timing import StorageError, UnreadableError
-from device.atomic_file import AtomicFile
+from device.atomic_file import AtomicFile, delete_abandoned_folders, temporary_folder
 from device.errors import UsageError, WriteError
-from device.temporary_folder import delete_abandoned_folders, temporary_folder
 
 T = TypeVar("T")
 

@@ -14,8 +14,7 @@ from typing import TextIO
 
 from audioflinger_hook.cli.parser import NEXT, build_parser
 from device.errors import CushionError, WriteError, unexpected
-from device.interruption import repeat_lost_interruptions
-from device.memory_limit import NUMPY_MB, respect_memory_limit
+from device.whole_process import NUMPY_MB, repeat_lost_interruptions, respect_memory_limit
 
 EXIT_INTERRUPTED = 130
 LIGHT = ("check", "status")  # commands that multiply no matrices

@@ -9,7 +9,7 @@ from audioflinger_hook.cli.terminal import complain, warn
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.schema import json_schema
 from audioflinger_hook.config.toml_text import Mistake, listed
-from audioflinger_hook.pipeline.config_check import find_mistakes
+from audioflinger_hook.pipeline.framework import find_mistakes
 from device.errors import UsageError
 
 

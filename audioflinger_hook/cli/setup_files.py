@@ -15,7 +15,7 @@ from pathlib import Path
 from audioflinger_hook.config import toml_text
 from audioflinger_hook.service import autostart
 from audioflinger_hook.service import install as service
-from audioflinger_hook.service.desktop_entry import install_page_entry, remove_page_entry
+from audioflinger_hook.service.autostart import install_page_entry, remove_page_entry
 from device import atomic_file
 from device.errors import CushionError, UsageError
 

@@ -25,13 +25,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from audioflinger_hook.config.allowed_now import allowed_now
 from audioflinger_hook.config.edits import EDITABLE, RULE, LiveEdits, editable
 from audioflinger_hook.config.profiles import LIVE_DEFAULT
-from audioflinger_hook.config.schema import CHANGES, Key
+from audioflinger_hook.config.schema import CHANGES, Key, allowed_now
 from audioflinger_hook.config.settings import LiveSettings, Settings
-from audioflinger_hook.daemon.page_frames import frame_of
 from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.daemon.status_report import frame_of
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.service.install import own_command
 from audioflinger_hook.service.one_line import one_line

@@ -4,9 +4,13 @@ import random
 from contextlib import closing
 from pathlib import Path
 
-from audioflinger_hook.daemon.acting_rule import ActingRule, with_rule
 from audioflinger_hook.daemon.alignment import Alignment
-from audioflinger_hook.daemon.applications import applications_in, not_left_out
+from audioflinger_hook.daemon.applications import (
+    ActingRule,
+    applications_in,
+    not_left_out,
+    with_rule,
+)
 from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.engines import Engines

@@ -23,7 +23,7 @@ from audioflinger_hook.daemon.native.abilities import missing_parts
 from audioflinger_hook.daemon.native.chain import NAME
 from audioflinger_hook.daemon.run_config import CARD_DEVICES, PACED_TAPS, SERVER_DEVICES
 from audioflinger_hook.doctor.facts import OURS, Facts, Folder
-from audioflinger_hook.pipeline.config_check import find_mistakes
+from audioflinger_hook.pipeline.framework import find_mistakes
 from audioflinger_hook.plugin.install import Places
 from audioflinger_hook.service.install import NAME as SERVICE
 from audioflinger_hook.service.install import printed, state_folder

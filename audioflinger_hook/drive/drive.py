@@ -10,7 +10,7 @@ from audioflinger_hook.core.design import core_design
 from audioflinger_hook.core.structures import ACTUATORS, LIMITED_BY, Controls, Readings
 from device.drive.design import DriveDesign, drive_design
 from device.drive.exposure import DoseSums, Exposure
-from device.drive.protection.limits import ProtectionStatus
+from device.drive.protection.design import ProtectionStatus
 from device.drive.safety import LONGEST_REST_S, SafetyState
 from device.drive.settings import DELAY_MAX_MS, ActuatorSettings, sources_of
 from device.errors import InternalError, UsageError

@@ -21,10 +21,9 @@ from typing import Any, Self, TypeVar
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.render import RenderReport, render_file
 from audioflinger_hook.sources.tap import named
+from device.atomic_file import delete_abandoned_folders, temporary_folder
 from device.errors import CushionError, InternalError, UsageError, unexpected
-from device.interruption import repeat_lost_interruptions
-from device.memory_limit import respect_memory_limit
-from device.temporary_folder import delete_abandoned_folders, temporary_folder
+from device.whole_process import repeat_lost_interruptions, respect_memory_limit
 
 T = TypeVar("T")
 

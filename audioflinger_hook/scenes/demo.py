@@ -20,9 +20,7 @@ from typing import TypeAlias
 import numpy as np
 
 from audioflinger_hook.mixer import PcmFormat
-from audioflinger_hook.scenes.chord import chord
-from audioflinger_hook.scenes.engine import engine
-from audioflinger_hook.scenes.impacts import explosion, footsteps
+from audioflinger_hook.scenes.sounds import chord, engine, explosion, footsteps
 from audioflinger_hook.scenes.speech import speech
 from device.units import Float32Array
 

@@ -21,7 +21,7 @@ from dbus_fast.annotations import (
 )
 from dbus_fast.service import ServiceInterface, dbus_method, dbus_property, dbus_signal
 
-from audioflinger_hook.service.desktop_entry import NAME, install_icon
+from audioflinger_hook.service.autostart import NAME, install_icon
 from audioflinger_hook.tray.menu import Entry
 from device.errors import CushionError, NotFoundError
 

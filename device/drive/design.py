@@ -9,8 +9,7 @@ import numpy as np
 
 from device.drive.damping import Damping, choose_damping
 from device.drive.exposure import DoseSums, exposure_records, worst_second
-from device.drive.protection.design import latency_frames, protection_records
-from device.drive.protection.limits import Limits
+from device.drive.protection.design import Limits, latency_frames, protection_records
 from device.drive.safety import SafetyBounds
 from device.rig import ActuatorParameters, Rig, rig_by_name
 from device.rig.thermal import Temperatures

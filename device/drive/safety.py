@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, replace
 
 from device.drive.exposure import DoseSums
-from device.drive.protection.limits import APPROACH_S, limits_of
+from device.drive.protection.design import APPROACH_S, limits_of
 from device.rig import Rig
 from device.rig.thermal import Temperatures
 

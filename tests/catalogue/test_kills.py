@@ -17,7 +17,7 @@ import pytest
 
 from audioflinger_hook.catalogue.storage import LocalStorage
 from audioflinger_hook.offline import batch
-from device.temporary_folder import PREFIX, temporary_folder
+from device.atomic_file import PREFIX, temporary_folder
 from tests.support.catalogues import expected as results_of
 from tests.support.catalogues import library, results, rows
 from tests.support.commands import (

@@ -33,8 +33,8 @@ sys.modules["matplotlib"] = None  # importing it fails, as where it is not insta
 ONE_SECOND = """
 import numpy as np
 from audioflinger_hook.cli import demo
-from audioflinger_hook.scenes import Scene, SceneTrack, engine
-frames = engine.engine(48_000, np.random.default_rng(1), 0.6)[:43_200]
+from audioflinger_hook.scenes import Scene, SceneTrack, sounds
+frames = sounds.engine(48_000, np.random.default_rng(1), 0.6)[:43_200]
 track = SceneTrack("engine", 48_000, frames, 0.1)
 demo.demo_scene = lambda: Scene("one second", 48_000, (track,), 1.0)
 """

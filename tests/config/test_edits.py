@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from audioflinger_hook.config import file as config
-from audioflinger_hook.config.allowed_now import allowed_now
 from audioflinger_hook.config.edits import EDITABLE, RULE, LiveEdits, editable, edited_text
 from audioflinger_hook.config.profiles import PROFILES
+from audioflinger_hook.config.schema import allowed_now
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings

@@ -7,8 +7,12 @@ import pytest
 
 from audioflinger_hook.config.applications import ApplicationRule
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.daemon.acting_rule import ActingRule, with_rule
-from audioflinger_hook.daemon.applications import applications_in, not_left_out
+from audioflinger_hook.daemon.applications import (
+    ActingRule,
+    applications_in,
+    not_left_out,
+    with_rule,
+)
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.inputs.sink import SinkInput
 from audioflinger_hook.daemon.native.taps import Tap

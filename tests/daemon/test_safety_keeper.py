@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from audioflinger_hook.daemon.safety_keeper import FILE, MARK, SAVE_S, Moment, SafetyKeeper
 from audioflinger_hook.drive.drive import UNPLAYED_S, Drive, DrivenRig
 from device.drive.exposure import DoseSums, worst_second
-from device.drive.protection.limits import limits_of
+from device.drive.protection.design import limits_of
 from device.drive.safety import SafetyBounds, SafetyState, power_to_limit_w
 from device.rig import CONSUMER, PAPER
 from device.rig.parameters import ThermalParameters

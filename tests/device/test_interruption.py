@@ -7,7 +7,7 @@ import pytest
 
 PROGRAM = """
 import os, signal, sys, time
-from device.interruption import repeat_lost_interruptions
+from device.whole_process import repeat_lost_interruptions
 
 class Slow:
     def __del__(self):

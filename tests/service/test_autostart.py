@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from audioflinger_hook.service import autostart, desktop_entry
+from audioflinger_hook.service import autostart
 from audioflinger_hook.service.install import MARK, install
 from device.errors import UsageError
 from tests.support.recordings import ROOT
@@ -115,31 +115,31 @@ def entry_at(path: Path) -> configparser.SectionProxy:
 
 
 def test_the_menu_has_an_entry_with_an_icon_that_opens_the_page(environ, tmp_path):
-    entry = entry_at(desktop_entry.install_page_entry(PROGRAM, environ))
+    entry = entry_at(autostart.install_page_entry(PROGRAM, environ))
     assert shlex.split(entry["Exec"]) == [*PROGRAM, "monitor", "--open"]
     icon = tmp_path / f"data/icons/hicolor/scalable/apps/{entry['Icon']}.svg"
-    assert icon.read_bytes() == desktop_entry.icon_bytes()
-    desktop_entry.remove_page_entry(environ)
+    assert icon.read_bytes() == autostart.icon_bytes()
+    autostart.remove_page_entry(environ)
     assert not any(path.is_file() for path in (tmp_path / "data").rglob("*"))
 
 
 def test_the_packaged_entry_and_icon_are_the_program_s_and_words_are_quoted():
     share = ROOT / "share"
-    assert (share / "applications/haptic-cushion.desktop").read_text() == desktop_entry.page_entry()
+    assert (share / "applications/haptic-cushion.desktop").read_text() == autostart.page_entry()
     icon = share / "icons/hicolor/scalable/apps/haptic-cushion.svg"
-    assert icon.read_bytes() == desktop_entry.icon_bytes()
-    assert desktop_entry.exec_line(["/a/b", "100%"]) == "/a/b 100%%"
-    assert desktop_entry.exec_line(["/a b/c", "", "it's"]) == '"/a b/c" "" "it\'s"'
-    assert desktop_entry.exec_line(['$"`\\']) == r'"\\$\\"\\`\\\\"'
+    assert icon.read_bytes() == autostart.icon_bytes()
+    assert autostart.exec_line(["/a/b", "100%"]) == "/a/b 100%%"
+    assert autostart.exec_line(["/a b/c", "", "it's"]) == '"/a b/c" "" "it\'s"'
+    assert autostart.exec_line(['$"`\\']) == r'"\\$\\"\\`\\\\"'
     with pytest.raises(UsageError, match="unprintable"):
-        desktop_entry.exec_line(["a\nb"])
+        autostart.exec_line(["a\nb"])
 
 
 def test_the_desktop_reads_the_command_as_it_was_written(tmp_path):
     glib = pytest.importorskip("gi.repository.GLib")
     words = ["/opt/a b", "$HOME", 'q"q', "back\\slash", "`x`", "é"]
     path = tmp_path / "x.desktop"
-    path.write_text(f"[Desktop Entry]\nExec={desktop_entry.exec_line(words)}\n")
+    path.write_text(f"[Desktop Entry]\nExec={autostart.exec_line(words)}\n")
     keys = glib.KeyFile()
     keys.load_from_file(str(path), glib.KeyFileFlags.NONE)
     assert glib.shell_parse_argv(keys.get_string("Desktop Entry", "Exec"))[1] == words

@@ -8,7 +8,7 @@ from scipy.signal import butter, lfilter, sosfilt
 
 from audioflinger_hook.config.profiles import PROFILES, parameters_of
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.scenes.impacts import explosion
+from audioflinger_hook.scenes.sounds import explosion
 from audioflinger_hook.scenes.speech import speech
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.design import LiveDesign

@@ -18,7 +18,7 @@ from dbus_fast.aio import MessageBus
 from dbus_fast.annotations import DBusBool, DBusStr
 from dbus_fast.service import ServiceInterface, dbus_method, dbus_property
 
-from audioflinger_hook.service.desktop_entry import icon_bytes
+from audioflinger_hook.service.autostart import icon_bytes
 from audioflinger_hook.tray import item
 from audioflinger_hook.tray.item import MENU_PATH, WATCHER, Menu, show
 from audioflinger_hook.tray.menu import Entry, entries

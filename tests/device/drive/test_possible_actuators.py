@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import linprog
 from scipy.signal import sosfilt
 
-from device.drive.protection.limits import RESERVE, bounding_models, limits_of
+from device.drive.protection.design import RESERVE, bounding_models, limits_of
 from device.rig import CONSUMER, PAPER
 from device.rig.electronics import Band
 from tests.support import possible_actuators as made

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from device.drive.damping import inverse_damping
 from device.drive.exposure import ACTION_A8_M_S2, DAY_S, DoseSums
-from device.drive.protection.limits import Limits, limits_of
+from device.drive.protection.design import Limits, limits_of
 from device.drive.safety import SafetyState
 from device.errors import InternalError, UsageError
 from device.rig import CONSUMER, PAPER

@@ -7,7 +7,7 @@ from operator import attrgetter
 import pytest
 
 from device.drive.exposure import ACTION_A8_M_S2, ACTION_VDV, DAY_S, DoseSums
-from device.drive.protection.limits import Limits
+from device.drive.protection.design import Limits
 from device.drive.safety import SafetyState
 from device.rig.parameters import vary
 from tests.support.random_drives import OFF, RIGS, Case, driven, reached

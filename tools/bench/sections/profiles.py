@@ -9,10 +9,8 @@ from functools import partial
 import numpy as np
 
 from audioflinger_hook.config.profiles import PROFILES, parameters_of
-from audioflinger_hook.scenes.chord import chord
 from audioflinger_hook.scenes.demo import DEMO_TRACKS
-from audioflinger_hook.scenes.engine import engine
-from audioflinger_hook.scenes.impacts import explosion
+from audioflinger_hook.scenes.sounds import chord, engine, explosion
 from audioflinger_hook.scenes.speech import speech as spoken_scene
 from audioflinger_hook.transform import FloatArray, HapticTransform, TransformParameters
 from tools.bench.measures.similarity import envelope_correlation

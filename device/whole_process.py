@@ -1,4 +1,4 @@
-"""Under a small limit of memory (`ulimit -v`), refuses what OpenBLAS would end or hang.
+"""The process under a limit of memory (`ulimit -v`), and interruptions that Python would lose.
 
 OpenBLAS needs a buffer of 32 MB. If there is no memory for it, NumPy's OpenBLAS ends the process,
 and that of SciPy tries again for ever. Thus both get their buffer as soon as they are loaded.
@@ -8,10 +8,11 @@ import contextlib
 import ctypes
 import os
 import resource
+import signal
 import sys
 from collections.abc import Sequence
 from importlib.machinery import ModuleSpec, PathFinder
-from types import ModuleType
+from types import FrameType, ModuleType
 
 from device.errors import UsageError
 
@@ -62,3 +63,32 @@ def _refuse_under(needed_mb: int) -> None:
     if limit < needed_mb << 20:
         few = f"this process may use {limit >> 20} MB of memory (ulimit -v)"
         raise UsageError(f"{few}; allowed: at least {needed_mb} MB; raise the limit")
+
+
+AGAIN_S = 1e-3  # time until a lost interruption is raised again
+
+_hook_before = sys.unraisablehook
+
+
+def repeat_lost_interruptions() -> None:
+    """Raise a KeyboardInterrupt again, shortly after a destructor or a callback of C lost it.
+
+    Python would print it with its traceback, and the program would go on. The other exceptions of
+    destructors are reported as before. It uses SIGALRM. Only the main thread may call it.
+    """
+    global _hook_before
+    if sys.unraisablehook is not _repeat:
+        _hook_before = sys.unraisablehook
+        sys.unraisablehook = _repeat
+    signal.signal(signal.SIGALRM, _interrupt)
+
+
+def _repeat(lost: "sys.UnraisableHookArgs") -> None:
+    if isinstance(lost.exc_value, KeyboardInterrupt):
+        signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+    else:
+        _hook_before(lost)
+
+
+def _interrupt(_signal: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
