@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from html import escape
+from importlib.resources import files
 from pathlib import Path
 from shutil import copyfileobj
 from tempfile import TemporaryFile
@@ -21,20 +22,7 @@ STRANGE_LEAK_DB = -30.0  # more energy above 250 Hz is unusual; in dB relative t
 PICTURES_MAX = 5_000  # largest number of pictures of normal results on the page
 WIDTH, HEIGHT = 240, 48
 
-_HEAD = """<!doctype html>
-<html lang="en"><meta charset="utf-8"><title>Vibration catalogue</title>
-<meta name="viewport" content="width=device-width">
-<style>
-:root { color-scheme: light dark; --line: #88888855; --wave: #2a6fb0; --bad: #c0392b; }
-body { font: 15px/1.4 system-ui, sans-serif; margin: 1.5em; }
-h1 { font-size: 1.3em } h2 { font-size: 1.1em }
-.items { display: grid; grid-template-columns: repeat(auto-fill, minmax(250px, 1fr)); gap: .7em }
-figure { margin: 0; padding: .4em; border: 1px solid var(--line); border-radius: 4px }
-figcaption { overflow-wrap: anywhere } small { display: block; opacity: .75 }
-svg { width: 100%; height: 48px; display: block } path { fill: var(--wave) }
-.strange { border-color: var(--bad) } .strange b, .failed b { color: var(--bad) }
-</style>
-"""
+_HEAD = files("audioflinger_hook.catalogue").joinpath("page_head.html").read_text(encoding="utf-8")
 
 Ranked = tuple[float, int, str, str]  # entry of a heap: rank, -count, the item's id, text
 

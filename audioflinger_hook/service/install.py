@@ -8,6 +8,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from importlib.resources import files
 from pathlib import Path
 from subprocess import DEVNULL, SubprocessError, check_output
 
@@ -21,61 +22,9 @@ NOTIFY_RELOAD = 253  # first version of systemd with Type=notify-reload
 
 UDEV_PATH = "/etc/udev/rules.d/70-cushion.rules"  # the name must sort before 73-seat-late.rules
 
-_TEMPLATE = string.Template("""\
-$mark Changes belong into a drop-in: systemctl --user edit cushion
-
-[Unit]
-Description=Haptic Cushion: sound to vibration
-After=pipewire-pulse.service pulseaudio.service wireplumber.service
-# no restart after ten failures in five minutes
-StartLimitIntervalSec=300
-StartLimitBurst=10
-
-[Service]
-Type=$type
-NotifyAccess=main
-ExecStart=$command
-$reload
-TimeoutStartSec=30
-TimeoutStopSec=10
-WatchdogSec=10
-Restart=on-failure
-RestartSec=2
-# no restart after a mistake in config or usage (2) or a missing program (3); 130: ended by Ctrl-C
-RestartPreventExitStatus=2 3
-SuccessExitStatus=130
-
-# preserved, since a daemon that was started by hand may use the same folder
-RuntimeDirectory=cushion
-RuntimeDirectoryMode=0700
-RuntimeDirectoryPreserve=yes
-UMask=0077
-
-# audio threads request real-time priority; after 200 ms without a pause the kernel sends SIGXCPU
-LimitRTPRIO=20
-LimitRTTIME=200ms:2s
-LimitCORE=0
-MemoryMax=512M
-OOMPolicy=stop
-
-# restrictions that need no privilege
-NoNewPrivileges=yes
-RestrictAddressFamilies=AF_UNIX AF_NETLINK
-RestrictNamespaces=yes
-RestrictSUIDSGID=yes
-LockPersonality=yes
-SystemCallArchitectures=native
-SystemCallFilter=@system-service
-SystemCallErrorNumber=EPERM
-
-# restrictions that need a user namespace; without user namespaces systemd ignores them
-ProtectSystem=strict
-$writable
-PrivateTmp=yes
-
-[Install]
-WantedBy=default.target
-""")
+_TEMPLATE = string.Template(
+    files("audioflinger_hook.service").joinpath(NAME).read_text(encoding="utf-8")
+)
 
 
 def unit_text(command: Sequence[str], state_folder: Path, systemd: int = 0) -> str:

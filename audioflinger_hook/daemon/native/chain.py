@@ -6,8 +6,10 @@ import subprocess
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.resources import files
 from itertools import count
 from pathlib import Path
+from string import Template
 
 from audioflinger_hook.core import library_path as plugin_path
 from audioflinger_hook.core.structures import Readings
@@ -30,47 +32,9 @@ _numbers = count(1)
 # Sets the gains of a chain and the initial states of a design's rigs.
 Prepare = Callable[["Chain", "ChainDesign"], None]
 
-_CONFIG = """\
-# Written by `cushion run`; it is removed when the run ends.
-context.properties = {{ log.level = 1 }}
-context.spa-libs = {{
-    audio.convert.* = audioconvert/libspa-audioconvert
-    support.* = support/libspa-support
-}}
-context.modules = [
-    {realtime}
-    {{ name = libpipewire-module-protocol-native }}
-    {{ name = libpipewire-module-client-node }}
-    {{ name = libpipewire-module-adapter }}
-    {{ name = libpipewire-module-filter-chain
-        args = {{
-            node.description = "Haptic Cushion"
-            media.name = "Haptic Cushion"
-            filter.graph = {{
-                nodes = [ {node} ]
-                inputs = [ {inputs} ]
-                outputs = [ {outputs} ]
-            }}
-            capture.props = {{
-                node.name = {tap}
-                audio.channels = {tap_channels}
-                audio.position = [ {tap_positions} ]
-                node.autoconnect = false
-                node.passive = true
-                stream.dont-remix = true
-            }}
-            playback.props = {{
-                node.name = {vibration}
-                audio.channels = {channels}
-                audio.position = [ {positions} ]
-                node.autoconnect = false
-                node.passive = true
-                stream.dont-remix = true
-            }}
-        }}
-    }}
-]
-"""
+_CONFIG = Template(
+    files("audioflinger_hook.daemon.native").joinpath("process.conf").read_text(encoding="utf-8")
+)
 
 _REALTIME = (
     "{ name = libpipewire-module-rt args = { nice.level = -11 } flags = [ ifexists nofail ] }"
@@ -261,7 +225,7 @@ class Chain:
 
     def _config(self, realtime: bool) -> str:
         plan, plugin = self.plan, json.dumps(str(plugin_path()))
-        return _CONFIG.format(
+        return _CONFIG.substitute(
             realtime=_REALTIME if realtime else "",
             node=f"{{ type = ladspa plugin = {plugin} name = core label = haptic_cushion_daemon }}",
             inputs=" ".join(f'"core:In {n + 1}"' for n in range(plan.tap_channels)),
