@@ -10,15 +10,9 @@ from itertools import pairwise
 import numpy as np
 
 from audioflinger_hook.core.compiled_core import GLIDE_NUMBERS
+from audioflinger_hook.transform import input_stage
 from audioflinger_hook.transform.arrays import FloatArray, Frames, IntArray
 from audioflinger_hook.transform.downmix import MonoMix
-from audioflinger_hook.transform.input_stage import (
-    BandPass,
-    channel_rows,
-    design_band_pass,
-    fit_block,
-    replace_unusable,
-)
 from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.principal import PrincipalFinder, Principals, Spectrum, magnitude
@@ -107,7 +101,7 @@ class ReferenceTransform:
         self._single = single
         self._spectrum = Spectrum.of(parameters, samplerate)
         self._finder = PrincipalFinder(parameters, self._spectrum.bin_hz, self._spectrum.bins)
-        self._bandpass = BandPass(*design_band_pass(parameters, samplerate))
+        self._bandpass = input_stage.BandPass(*input_stage.design_band_pass(parameters, samplerate))
         self._mapping = VibrationMapping.of(parameters, parameters.unit_strength_hz(samplerate))
         self._superposition = Superposition(self._spectrum.window_frames, samplerate)
         self.latency_frames = self._spectrum.window_frames
@@ -201,10 +195,12 @@ class ReferenceStream:
 
     def process(self, frames: Frames) -> FloatArray:
         """Return vibration, (frames, transforms). UsageError: see `HapticTransform.process`."""
-        usable, replaced = replace_unusable(fit_block(frames, self._channels))
+        usable, replaced = input_stage.replace_unusable(
+            input_stage.fit_block(frames, self._channels)
+        )
         self.replaced_samples += replaced
         self.delivered_frames += len(usable)
-        rows = channel_rows(usable)
+        rows = input_stage.channel_rows(usable)
         mixed = [mix.process(rows) for mix in self._mixes] or rows
         each = zip(self._transforms, mixed, strict=True)
         return np.stack([one.process(sound) for one, sound in each], axis=1)

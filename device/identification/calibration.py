@@ -6,16 +6,9 @@ from typing import Protocol
 
 import numpy as np
 
-from device.identification import transfer
+from device.identification import mechanics, transfer
 from device.identification.acceleration import Mode, identify_mode
 from device.identification.impedance import Drive, Impedance, identify_drive, identify_impedance
-from device.identification.mechanics import (
-    Values,
-    add_values,
-    by_acceleration,
-    by_known_mass,
-    solve_mechanics,
-)
 from device.identification.output_error import Estimate
 from device.identification.recording import PLAYED, IdentificationError, Recording, Sweep
 from device.identification.simulated_laboratory import LARGEST_SHARE
@@ -91,7 +84,7 @@ class Calibration:
     """The result of `calibrate`; a field is None if the measurement does not determine it."""
 
     rig: Rig | None  # with the identified values; None if no rig can be written
-    values: Values
+    values: mechanics.Values
     mode: Mode | None  # from acceleration per current
     driven: Mode | None  # from acceleration per voltage, or per "drive" (see `live.laboratory`)
     impedance: Impedance | None
@@ -153,7 +146,7 @@ def _add_direct(
 ) -> Calibration:
     """Add the values that need a recording of the current, but no parameters of the rig's file."""
     mode, impedance = found.mode, found.impedance
-    values: Values = {}
+    values: mechanics.Values = {}
     if impedance is not None:
         inductances = impedance.inductances(found.sweep.low_hz, found.sweep.high_hz)
         values = {
@@ -169,10 +162,10 @@ def _add_direct(
         sources = tuple(s for s in rig.sources if not s.parameter.endswith(("eddy_h", "eddy_ohm")))
         rig = replace(rig, actuator=plain, sources=sources)
         if weighed is not None and not found.on_seat:
-            values |= by_known_mass(impedance, weighed)
+            values |= mechanics.by_known_mass(impedance, weighed)
         elif mode is not None and scaled and not found.on_seat:
-            values |= by_acceleration(impedance, mode)
-    return replace(found, rig=add_values(rig, values, _describe(found)), values=values)
+            values |= mechanics.by_acceleration(impedance, mode)
+    return replace(found, rig=mechanics.add_values(rig, values, _describe(found)), values=values)
 
 
 def _add_by_coil(
@@ -185,15 +178,17 @@ def _add_by_coil(
         ohms = rig.actuator.resistance_ohm + rig.amplifier.source_impedance_ohm
         driving = replace(rig, actuator=replace(rig.actuator, resistance_ohm=ohms))
     try:
-        values = solve_mechanics(found.driven, driving)
+        values = mechanics.solve_mechanics(found.driven, driving)
     except IdentificationError as error:
         return replace(found, why_not=str(error))
     assumed = [name for name in COIL if f"actuator.{name}" in rig.assumed()]
     if not assumed:
-        return replace(found, rig=add_values(rig, values, _describe(found)), values=values)
+        return replace(
+            found, rig=mechanics.add_values(rig, values, _describe(found)), values=values
+        )
     shown = f"{found.driven.f0_hz.value:.2f} Hz with Q {found.driven.q.value:.2f}"
     words = f"with the assumed {', '.join(assumed)} it gives the mode that was identified, {shown}"
-    rig = add_values(rig, values, f"{words}: {_describe(found)}", assumed=True)
+    rig = mechanics.add_values(rig, values, f"{words}: {_describe(found)}", assumed=True)
     return replace(found, rig=rig, matched=True)
 
 
@@ -230,7 +225,7 @@ def _add_drive(found: Calibration) -> Calibration:
             mode: DriveMode = "current" if ratio >= MIN_CURRENT_DRIVE_RATIO else "voltage"
             amplifier = replace(amplifier, drive_mode=mode, source_impedance_ohm=source_ohm.value)
         rig = replace(rig, amplifier=amplifier, sources=sources)
-    rig = add_values(rig, values, _describe(found))
+    rig = mechanics.add_values(rig, values, _describe(found))
     return replace(found, rig=rig, values=found.values | values)
 
 

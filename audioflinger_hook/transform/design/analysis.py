@@ -5,15 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from audioflinger_hook.core.rounding import round_filter
+from audioflinger_hook.transform import downmix
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.design.synthesis import LiveGrid
-from audioflinger_hook.transform.downmix import (
-    CANCELS_FROM,
-    CANCELS_UP_TO,
-    POWER_GUARD,
-    cancellation_shares,
-    downmix_table,
-)
 from audioflinger_hook.transform.filters import fast_length, lowest_bins
 from audioflinger_hook.transform.input_stage import DENORMAL_GUARD, MAGNITUDE_MAX, band_pass_roots
 from audioflinger_hook.transform.mapping import VibrationMapping
@@ -66,10 +60,10 @@ class InputDesign:
     mix_slow: float  # for this and the next two fields, see `cancellation_shares`
     mix_newest: float
     mix_evidence: float
-    mix_weights: FloatArray = field(default_factory=downmix_table)
-    mix_cancels_from: float = CANCELS_FROM
-    mix_cancels_up_to: float = CANCELS_UP_TO
-    mix_power_guard: float = POWER_GUARD
+    mix_weights: FloatArray = field(default_factory=downmix.downmix_table)
+    mix_cancels_from: float = downmix.CANCELS_FROM
+    mix_cancels_up_to: float = downmix.CANCELS_UP_TO
+    mix_power_guard: float = downmix.POWER_GUARD
     magnitude_max: float = MAGNITUDE_MAX
     denormal_guard: float = DENORMAL_GUARD
 
@@ -79,7 +73,7 @@ class InputDesign:
         # By Parseval's theorem, r <= max|x| fs sqrt(2.73/N) < max|x| fs.
         silence = parameters.live_threshold_hz / samplerate
         band = round_filter(*band_pass_roots(parameters, samplerate))
-        return cls(silence, *band, *cancellation_shares(samplerate))
+        return cls(silence, *band, *downmix.cancellation_shares(samplerate))
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,16 +2,7 @@
 
 from functools import cached_property
 
-from device.usb.descriptors.audio_class import (
-    CLOCK_SOURCE,
-    CLOCKS,
-    FEATURE,
-    INPUT,
-    OUTPUT,
-    USB_STREAMING,
-    Entity,
-    FeatureControl,
-)
+from device.usb.descriptors import audio_class
 from device.usb.descriptors.configuration import Configuration, Interface
 
 _ASSOCIATIONS_MAX = 256  # number of possible interface numbers; each is in one association
@@ -25,16 +16,18 @@ class Topology:
 
     def __init__(self, control: Interface) -> None:
         self.control = control
-        self.entities: dict[int, Entity] = {}
+        self.entities: dict[int, audio_class.Entity] = {}
         for entity in control.entities:
             self.entities.setdefault(entity.id, entity)
         self.terminals = {
-            entity.id: entity for entity in self.entities.values() if entity.kind in (INPUT, OUTPUT)
+            entity.id: entity
+            for entity in self.entities.values()
+            if entity.kind in (audio_class.INPUT, audio_class.OUTPUT)
         }
-        self._outputs: dict[int, tuple[tuple[int, ...], Entity | None]] = {}
+        self._outputs: dict[int, tuple[tuple[int, ...], audio_class.Entity | None]] = {}
         self._clock_sources: dict[int, tuple[int, ...]] = {}
 
-    def output(self, terminal_id: int) -> tuple[tuple[int, ...], Entity | None]:
+    def output(self, terminal_id: int) -> tuple[tuple[int, ...], audio_class.Entity | None]:
         """Return the path from an input terminal to an output terminal, and a feature unit on it.
 
         The path contains the ids of all entities, both terminals included; () if there is none.
@@ -46,8 +39,8 @@ class Topology:
             while (following := self._next.get(path[-1])) is not None:
                 path.append(following)
             reached = (self.entities.get(each) for each in path if len(path) > 1)
-            units = [entity for entity in reached if entity and entity.kind == FEATURE]
-            wanted = (FeatureControl.VOLUME, FeatureControl.MUTE)
+            units = [entity for entity in reached if entity and entity.kind == audio_class.FEATURE]
+            wanted = (audio_class.FeatureControl.VOLUME, audio_class.FeatureControl.MUTE)
             settable = (unit for control in wanted for unit in units if unit.settable(control))
             unit = next(settable, units[0] if units else None)
             self._outputs[terminal_id] = (tuple(path) if len(path) > 1 else (), unit)
@@ -59,7 +52,8 @@ class Topology:
         outputs = [
             entity
             for entity in self.entities.values()
-            if entity.kind == OUTPUT and entity.terminal_type != USB_STREAMING
+            if entity.kind == audio_class.OUTPUT
+            and entity.terminal_type != audio_class.USB_STREAMING
         ]
         listened = [o for o in outputs if o.terminal_type >> 8 in _LISTENED_TERMINALS]
         following: dict[int, int] = {}
@@ -82,9 +76,9 @@ class Topology:
             seen, queue, found = {clock_id}, [clock_id], []
             for here in queue:
                 clock = self.entities.get(here)
-                if clock and clock.kind == CLOCK_SOURCE:
+                if clock and clock.kind == audio_class.CLOCK_SOURCE:
                     found.append(here)
-                if clock and clock.kind in CLOCKS:
+                if clock and clock.kind in audio_class.CLOCKS:
                     unseen = set(clock.source_ids) - seen
                     queue += unseen
                     seen |= unseen
