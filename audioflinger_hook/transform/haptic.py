@@ -101,7 +101,8 @@ class HapticTransform:
 
     Block sizes do not affect the vibration. Only one thread at a time may use the object.
 
-    samplerate: Hz, 1 000 to 768 000. channels: number of channels of the sound, 1 to 64.
+    samplerate: Hz, 1 000 to 768 000.
+    channels: number of channels of the sound, 1 to 64.
     parameters: by default those of the paper.
     form: "live" has low latency; "reference" follows the paper's equations exactly.
     per_channel: whether each channel is transformed separately, instead of the mono mix of all.
