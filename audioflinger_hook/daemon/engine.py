@@ -189,10 +189,7 @@ class Engine:
         return self._read[self._start : self._end]
 
     def fill(self, out: Float32Array, now_s: float) -> None:
-        """Write the next frames to `out`, an array (frames, outputs of the drive).
-
-        The output thread calls it.
-        """
+        """Write the next frames to `out`, (frames, drive outputs). The output thread calls it."""
         if now_s - self.filled_s > STALLED_S:  # the buffered vibration is outdated
             self._drop_ahead()
         self.filled_s = now_s

@@ -130,10 +130,7 @@ class Engines:
         self.safety.carry_over(self.rigs, rigs)
 
     def follow(self, config: RunConfig, changes: Set[Change]) -> None:
-        """Apply another config. changes: its differences from the current config.
-
-        After a UsageError, nothing has changed.
-        """
+        """Apply a config with these `changes`. After a UsageError, nothing has changed."""
         settings, engine = config.settings, self.python
         if engine and Change.ENGINE in changes:  # raises if the new engine is impossible
             framework = Framework(engine.samplerate, engine.channels, settings)

@@ -1,7 +1,4 @@
-"""Shared memory in which the Python engine writes levels and partials for the live page.
-
-The native engine's shared memory has the same layout.
-"""
+"""Shared memory of the Python engine for the live page, laid out as the native engine's."""
 
 from collections.abc import Sequence
 from contextlib import suppress

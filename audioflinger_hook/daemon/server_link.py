@@ -47,10 +47,7 @@ class ServerLink(Listener):
         return self._fallback.reason if self._fallback else ""
 
     def open(self, now_s: float) -> bool:
-        """Connect if an attempt is due; return whether a connection was made.
-
-        CushionError: the attempt failed.
-        """
+        """Connect if an attempt is due; return whether it did. CushionError: the attempt failed."""
         if self.connection is not None or self._backoff.wait_s(now_s) > 0.0:
             return False
         try:

@@ -1,7 +1,4 @@
-"""Collects the status of a running daemon, and the levels that the live page shows.
-
-`service/status.py` defines the fields of the status.
-"""
+"""Collects the figures of `service/status.py`, and the levels that the live page shows."""
 
 import itertools
 import os

@@ -1,7 +1,4 @@
-"""Reads the facts of a set-up: machine, sound server, config file and daemon.
-
-Each read has a time limit, and a read that fails leaves its facts empty.
-"""
+"""Reads the facts of a set-up, each within a time limit. Facts that cannot be read are empty."""
 
 import json
 import os
@@ -54,10 +51,7 @@ _LIST_SERVICES = (  # of the system bus, with one of two programs
 
 
 def read_facts(environ: Mapping[str, str], clock: Callable[[], float]) -> Facts:
-    """Return all facts but the measured delay, in about 15 s even if nothing answers.
-
-    Only the main thread may call it. clock: returns seconds.
-    """
+    """Return all facts but the delay, within about 15 s. Only the main thread may call it."""
     return _with_daemon(_with_config(_with_server(_machine(environ))), clock, environ)
 
 

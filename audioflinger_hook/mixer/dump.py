@@ -9,10 +9,7 @@ from audioflinger_hook.mixer.track_mixer import decibels, gains_of
 
 
 def dump(mixer: Mixer, cycle_times_s: Sequence[float] = ()) -> str:
-    """Return the state of a mixer as text.
-
-    mixer: the mixer to describe. cycle_times_s: processing times of the last cycles in seconds.
-    """
+    """Return a mixer's state as text. mixer: the mixer. cycle_times_s: times of the last cycles."""
     lines = [*_thread(mixer), *_cycle_times(mixer, cycle_times_s), *_tracks(mixer)]
     lines += [f"  {line}" for line in mixer.effects.dump()]
     return "\n".join(lines) + "\n"

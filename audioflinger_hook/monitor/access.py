@@ -67,10 +67,7 @@ class Listen:
 
 
 def load_key(folder: RuntimeFolder) -> str:
-    """Return the page's key. If the daemon's folder has no valid key, store a new one there.
-
-    WriteError: the key cannot be read or stored.
-    """
+    """Return the page's key, a new one if none is valid. WriteError: no access to its file."""
     path = folder.path / KEY_NAME
     try:
         try:
@@ -95,10 +92,7 @@ def load_key(folder: RuntimeFolder) -> str:
 
 
 def new_code(folder: RuntimeFolder, now_s: float) -> str:
-    """Return a new code, which is valid once, for CODE_S. now_s: time of day.
-
-    WriteError: the code cannot be stored.
-    """
+    """Return a new code, valid once, for CODE_S. now_s: time of day. WriteError: not stored."""
     code = "".join(secrets.choice(CODE_SIGNS) for _ in range(CODE_LENGTH))
     try:
         for known in folder.path.glob(f"{CODE_NAME}*"):

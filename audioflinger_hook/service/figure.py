@@ -153,10 +153,7 @@ def metrics(group: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[Entry, Any
 
 
 def gathered(kind: type[T], *sources: object, **given: Any) -> T:
-    """Return a group of figures with values from `given`, else from attributes of `sources`.
-
-    TypeError: a figure without a default has no value.
-    """
+    """Return a group with values from `given`, else from `sources`. TypeError: one is missing."""
     for name, known, _ in table(kind):
         read = known.read or name
         source = next((one for one in sources if hasattr(one, read.partition(".")[0])), None)

@@ -18,10 +18,7 @@ def _setting(asked: Mapping[str, Any]) -> tuple[str, ...] | None:
 
 
 class RequestQueue:
-    """Requests in order of arrival, each with a function that takes its answer.
-
-    Any thread may use it.
-    """
+    """Requests in order of arrival, each with a function for its answer. Any thread may use it."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

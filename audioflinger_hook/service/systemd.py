@@ -12,10 +12,7 @@ SEND_TIMEOUT_S = 0.2  # longest wait for space in systemd's queue
 
 
 class Notifier:
-    """Sends messages to the service manager at $NOTIFY_SOCKET, if the variable names a socket.
-
-    A call may block for up to SEND_TIMEOUT_S.
-    """
+    """Sends messages to the socket $NOTIFY_SOCKET, if set. A call may block for SEND_TIMEOUT_S."""
 
     def __init__(self, environ: Mapping[str, str] = os.environ) -> None:
         name = environ.get("NOTIFY_SOCKET", "")

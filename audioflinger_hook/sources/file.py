@@ -151,10 +151,7 @@ def _body_is_short(log: str) -> bool:
 
 
 class FramesTap(SteadyTap):
-    """A tap of frames in memory.
-
-    frames: (n, channels). samplerate: Hz. blocksize: frames per buffer.
-    """
+    """A tap of frames in memory. frames: (n, channels). samplerate: Hz. blocksize: in frames."""
 
     def __init__(self, frames: Float32Array, samplerate: int, blocksize: int) -> None:
         starts = range(0, len(frames), blocksize)

@@ -84,10 +84,7 @@ def design_band_pass(
 
 
 class BandPass:
-    """Band-pass of a stream. Block sizes do not affect the result.
-
-    b, a: from `design_band_pass`.
-    """
+    """Band-pass of a stream, in blocks of any size. b, a: from `design_band_pass`."""
 
     def __init__(self, b: FloatArray, a: FloatArray, guard: float = DENORMAL_GUARD) -> None:
         self._b, self._a, self._guard = b, a, guard

@@ -279,10 +279,7 @@ PAPER, CONSUMER = _RIGS["paper"], _RIGS["consumer"]
 
 
 def rig_by_name(name: str) -> Rig:
-    """Return a rig. name: the name of a built-in rig, or a path that ends in .toml.
-
-    UsageError: no rig has this name, or the file is missing or invalid.
-    """
+    """Return a rig. name: of a built-in rig, or a path in .toml. UsageError: missing or invalid."""
     if name in _RIGS:
         return _RIGS[name]
     if name.endswith(SUFFIX):

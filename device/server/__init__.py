@@ -1,7 +1,4 @@
-"""Control of PulseAudio and PipeWire: the server's state, and changes to it.
-
-The library pulsectl is loaded when the first connection is made.
-"""
+"""Control of PulseAudio and PipeWire. The first connection loads the library pulsectl."""
 
 from device.server.app_captures import AppCaptures
 from device.server.app_rules import AppRules

@@ -1,7 +1,4 @@
-"""Audio streams through PortAudio, on a sound server or directly on a card.
-
-PyAudio is loaded when the first stream is opened.
-"""
+"""Audio streams through PortAudio, on a server or a card. The first stream loads PyAudio."""
 
 from device.stream.callback_thread import AudioPriority
 from device.stream.pcms import PcmConfig
