@@ -207,7 +207,11 @@ class EffectEngine(Protocol):
 
 @dataclass(frozen=True)
 class EffectLibrary:
-    """A library. name: in audio_effects.xml. effects: descriptor and factory of each effect."""
+    """A library of effects.
+
+    name: identifies the library in audio_effects.xml.
+    effects: descriptor and factory of each effect.
+    """
 
     name: str
     effects: tuple[tuple[EffectDescriptor, Callable[[], EffectEngine]], ...]
