@@ -68,7 +68,7 @@ class Session:
         said = lambda: re.search("http://[^ \n]+", "".join(self.said))  # noqa: E731
         self._context = chromium.new_context(viewport={"width": 390, "height": 844})
         self.page = self._context.new_page()
-        self.page.goto(wait_for(said, "an address", 40.0)[0])
+        self.page.goto(wait_for(said, "an address", 60.0)[0])
 
     def press(self, question, name):
         """Click a button of the screen with this heading, and wait for the next screen."""
@@ -137,10 +137,16 @@ def test_a_study_of_three_conditions_through_the_page_and_the_daemon(chromium, t
     heard, felt = soundfile.read(path)[0].T
     loud = np.flatnonzero(np.abs(heard) > 1e-4)
     begins = loud[np.diff(loud, prepend=-RATE_HZ) > RATE_HZ // 10]
-    levels = np.array([weighted_db(felt[b : b + round(1.3 * SECONDS * RATE_HZ)]) for b in begins])
-    levels -= [WEAK_DB * (name == "weak") for name in played]
-    print(np.ptp(levels))
-    assert np.ptp(levels) <= 0.5
+    begins -= int(np.flatnonzero(np.abs(noise) > 1e-4)[0])
+    levels: dict[str, list[float]] = {name: [] for name in CONDITIONS}
+    for begin, name in zip(begins, played, strict=True):
+        # A busy machine loses frames of the recording, in both channels: such intervals are left out.
+        if np.allclose(heard[begin : begin + len(noise)], noise, atol=1e-4):
+            whole = felt[begin : begin + round(1.3 * SECONDS * RATE_HZ)]
+            levels[name].append(weighted_db(whole) - WEAK_DB * (name == "weak"))
+    print({name: len(found) for name, found in levels.items()}, levels)
+    assert all(levels.values())
+    assert np.ptp(np.concatenate([*levels.values()])) <= 0.5
     assert call("study", "report", study).code == 0
     shown, complaints = opened_report(chromium, study / "report.html", 390)
     assert complaints == []
