@@ -140,7 +140,7 @@ def test_a_study_of_three_conditions_through_the_page_and_the_daemon(chromium, t
     begins -= int(np.flatnonzero(np.abs(noise) > 1e-4)[0])
     levels: dict[str, list[float]] = {name: [] for name in CONDITIONS}
     for begin, name in zip(begins, played, strict=True):
-        # A busy machine loses frames of the recording, in both channels: such intervals are left out.
+        # A busy machine loses frames of the recording, in both channels at once.
         if np.allclose(heard[begin : begin + len(noise)], noise, atol=1e-4):
             whole = felt[begin : begin + round(1.3 * SECONDS * RATE_HZ)]
             levels[name].append(weighted_db(whole) - WEAK_DB * (name == "weak"))
