@@ -130,13 +130,18 @@ def test_a_study_of_three_conditions_through_the_page_and_the_daemon(chromium, t
     assert [row["answer"] for row in rows[1:]] == wanted
     played = [row[f"condition_{i}"] for row in rows[1:] for i in (1, 2)]
     late = np.array([LATE_MS * (name == "late") for name in played]) * RATE_HZ / 1e3
-    found = np.array(lags(path))
-    print(found - late)
-    assert len(found) == 2 * TRIALS
-    assert np.abs(found - late).max() <= WITHIN_FRAMES
     heard, felt = soundfile.read(path)[0].T
     loud = np.flatnonzero(np.abs(heard) > 1e-4)
     begins = loud[np.diff(loud, prepend=-RATE_HZ) > RATE_HZ // 10]
+    # A busy machine lets the daemon lose an interval, which it plays again: the row has the times
+    # of the one that counts.
+    began_s = np.array([row[f"sound_began_s_{i}"] for row in rows[1:] for i in (1, 2)])
+    apart_s = (begins - begins[-1])[:, None] / RATE_HZ - (began_s - began_s[-1])
+    counted = np.abs(apart_s).argmin(axis=0)
+    assert np.all(np.diff(counted) > 0)
+    found, begins = np.array(lags(path))[counted], begins[counted]
+    print(found - late)
+    assert np.abs(found - late).max() <= WITHIN_FRAMES
     begins -= int(np.flatnonzero(np.abs(noise) > 1e-4)[0])
     levels: dict[str, list[float]] = {name: [] for name in CONDITIONS}
     for begin, name in zip(begins, played, strict=True):
