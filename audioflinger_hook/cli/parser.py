@@ -222,6 +222,42 @@ def _sync(command: Parser) -> None:
     command.add_json()
 
 
+@_command("make all frequencies feel equally strong to you", "--device sink:NAME")
+def _fit(command: Parser) -> None:
+    command.usage = "%(prog)s [options]\n       %(prog)s [options] list|show|compare|undo [NAME...]"
+    command.any_order = True
+    words = "list: the stored fits; show, compare: their curves; undo: restore the fit before"
+    command.add_argument("words", nargs="*", metavar="list|show|compare|undo", help=words)
+    command.add_value("--device", str, "DEVICE", f"{SEE_DEVICES}; default: the daemon's")
+    command.add_value("--name", str, "NAME", "name of the fit; default: from the device")
+    command.add_value("--minutes", float, "M", "at most 20 comparisons a minute, and 60", 3.0)
+    command.add_switch("--page", "answer on a page, not by keys of the terminal")
+    command.add_switch("--new", "begin again, and drop the answers of an interrupted fit")
+    person = "let a simulated person answer; the file has its curve"
+    command.add_value("--simulate", Path, "SITTER.json", person)
+    command.add_value("--seed", count, "N", "seed of the order of trials; default: a new one")
+    command.add_json()
+
+
+@_command("design, run and report a study with people", "new first --design cinema")
+def _study(command: Parser) -> None:
+    does = "make a folder with a design; check and register it; let a person take part; report"
+    actions = "new", "check", "run", "report"
+    command.add_argument("action", choices=actions, metavar="|".join(actions), help=does)
+    command.add_argument("folder", type=Path, metavar="NAME", help="the study's folder")
+    designs = "of `new`: cinema, delay or identify"
+    chosen = command.add_value("--design", str, "NAME", designs, "cinema")
+    chosen.choices = ("cinema", "delay", "identify")
+    command.add_value("--participant", str, "CODE", "of `run`: an anonymous code, such as P01")
+    device = f"of `run`: {SEE_DEVICES}; default: the daemon's"
+    command.add_value("--device", str, "DEVICE", device)
+    people = "of `run`: people with known true parameters, in place of a person"
+    command.add_value("--simulate", Path, "PEOPLE.json", people)
+    command.add_switch("--no-power", "of `check`: do not simulate studies")
+    command.add_value("--out", Path, "FILE", "of `report`: the page; default: NAME/report.html")
+    command.add_json()
+
+
 @_command("identify a rig with sweeps of rising level", "--device twin --out rig.toml")
 def _calibrate(command: Parser) -> None:
     devices = f"{SEE_DEVICES}; or twin"
@@ -263,6 +299,9 @@ def _plugin(command: Parser) -> None:
         "--device", str, "NODE", "also write a PipeWire chain that plays to this sink"
     )
     command.add_value("--rate", int, "HZ", "also write settings for this sample rate")
+    command.add_value(
+        "--fit", str, "NAME", "fit for all profiles but paper; see `cushion fit list`"
+    )
 
 
 @_command("start the daemon at every login", "--device usb:152a:8750")

@@ -141,6 +141,7 @@ def _run_config(options: argparse.Namespace, edits: Edits | None = None) -> RunC
             f"--device, or with the key device in {path}"
         )
     run_config = RunConfig(parse_tap(live.tap[0]), parse_device(live.device), settings, live)
+    run_config = dataclasses.replace(run_config, settings=settings.fitted(live.device))
     if run_config.device.kind == "usb" and not run_config.tap_is_live:
         past_server = True
         with suppress(LostError):

@@ -6,7 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.config import profiles
+from audioflinger_hook.config import fits, profiles
 from audioflinger_hook.config.applications import ApplicationRule, rule_refusals
 from audioflinger_hook.config.edits import Edits, apply_edits
 from audioflinger_hook.config.schema import (
@@ -158,6 +158,14 @@ class _Reading:
             for name, refusal in self._contradictions(owner, self.profile).items():
                 section = next(k.section for k in KEYS if (k.owner, k.field) == (owner, name))
                 self._add(f"{section}.{name}" if section else name, refusal)
+        chosen = self.accepted[TransformParameters]
+        name = str(chosen.get("fit", ""))
+        if chosen.get("strength") == "fit" and ":" not in name:
+            try:
+                fits.chosen(name)
+            except UsageError as error:
+                key = "transform.fit" if name else "transform.strength"
+                self._add(key, Refusal(f"needs a fit ({error})", "flat, felt, rig"))
         for number, rule in enumerate(self.arrays[APPLICATION], 1):
             profile = rule.get("profile") or self.profile
             found = self._contradictions(TransformParameters, profile)

@@ -50,23 +50,26 @@ def listed(mistakes: list[Mistake]) -> list[Mistake]:
 _STRINGS = re.compile(r"'[^']*'?|" + r'"(?:[^"\\]|\\.)*"?')
 
 
-def text_of(path: Path, *, or_empty: bool = False) -> str:
-    """Return a file's text; with `or_empty`, "" if it is missing. UsageError: it cannot be read."""
+def text_of(path: Path, *, or_empty: bool = False, kind: str = "config file") -> str:
+    """Return a file's text; with `or_empty`, "" if it is missing. UsageError: it cannot be read.
+
+    kind: what the file is, for messages.
+    """
     try:
         if or_empty and not path.exists():
             return ""
         if path.exists() and not (path.is_file() or path.is_dir()):
-            raise UsageError(f"{path} is not a regular file; give the path of a config file")
+            raise UsageError(f"{path} is not a regular file; give the path of a {kind}")
         with path.open("rb") as file:
             content = file.read(CONFIG_BYTES_MAX + 1)
         if len(content) > CONFIG_BYTES_MAX:
-            raise UsageError(f"{path} is over {CONFIG_BYTES_MAX} bytes; a config file is smaller")
+            raise UsageError(f"{path} is over {CONFIG_BYTES_MAX} bytes; a {kind} is smaller")
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise UsageError(f"{path} is not UTF-8 (byte {error.start}); save it as UTF-8") from None
     except OSError as error:
         raise UsageError(
-            f"{path} cannot be read ({error.strerror}); give the path of a config file"
+            f"{path} cannot be read ({error.strerror}); give the path of a {kind}"
         ) from None
 
 

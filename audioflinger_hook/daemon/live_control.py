@@ -9,6 +9,7 @@ value wins. Values are checked like values of the config file. A request has one
     "tone": {"hz": 60, "level": 0.2}           start the test tone; null stops the tone
     "sync": {"try_ms": 120}                    play an offset on trial; null ends the trial
     "sync": {"store_ms": 120}                  store an offset for the present pair of sinks
+    "trial": {"who": "1"}                      play trials; see `daemon/trials.py`
     "undo": true                               undo the last change of the config
     "save": true                               write the changes to the config file
 
@@ -93,6 +94,11 @@ class LiveControl:
             done.set()
 
         asked = {name: value for name, value in request.items() if name not in ENVELOPE}
+        if asked.keys() == {"trial"} and isinstance(asked["trial"], dict):
+            try:  # in this thread, as a lease must not wait for another request
+                return self._supervisor.trials.ask(asked["trial"])
+            except CushionError as error:
+                return {"error": one_line(str(error), 400)}
         if self._waiting.put(asked, answer):  # else the main thread has been woken
             self._ring()
         if not done.wait(ANSWER_S):

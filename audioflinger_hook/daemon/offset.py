@@ -50,6 +50,7 @@ class Offset:
         self._declared = Declared()
         self._behind_s = 0.0
         self._behind_of: tuple[object, ...] = ()
+        self._delay_s = 0.0
         self._trial_s: float | None = None
         self._trial_ends_s: float | None = None
         self._found = UNKNOWN
@@ -104,6 +105,17 @@ class Offset:
                 self._trial_s = self._trial_ends_s = None
         self._find()
 
+    def lead_s(self, own_s: float, transform_s: float) -> float:
+        """Return how much later its vibration than its sound must begin in a stream of both.
+
+        This is the part of the delay that `vibration_s` does not contain; it may be negative.
+        own_s: latency of the vibration after the stream. transform_s: latency of the transform,
+        which the stream avoids; a number in the config takes it for granted.
+        """
+        set_s = self._live.offset_s
+        wanted_s = self._delay_s - own_s if set_s is None else set_s + transform_s
+        return wanted_s - self.vibration_s
+
     def _find(self) -> None:
         """Find how far the vibration is behind its sound, apart from the offset."""
         measured_s = self._store.delay_s(self._pair) if self._pair else None
@@ -111,6 +123,7 @@ class Offset:
         self._found = DECLARED if self._declared.is_known else UNKNOWN
         if measured_s is not None:
             self._found, delay_s = MEASURED, measured_s
+        self._delay_s = delay_s
         if self._own_s is not None:
             behind_s, known = self._own_s - delay_s, (self._pair, self._found, measured_s)
             if self._behind_of != known or abs(behind_s - self._behind_s) > FOLLOWED_S:

@@ -10,7 +10,7 @@ from contextlib import ExitStack, suppress
 from functools import partial
 from http import HTTPStatus
 from importlib.resources import files
-from typing import Any
+from typing import Any, Protocol
 
 from prometheus_client import CONTENT_TYPE_LATEST
 from websockets.asyncio.server import ServerConnection, serve
@@ -42,10 +42,12 @@ CONTROL_PAUSE_S = 0.02  # pause after each request that is forwarded to the daem
 
 SCRIPTS = (
     *("page", "connection", "elements", "drawing", "meters", "mapping", "waterfall", "controls"),
-    *("figures", "applications", "sync"),
+    *("figures", "applications", "sync", "trial", "jspsych"),
 )
 FILES = {  # URL path: (file, content type)
     "/": ("index.html", "text/html; charset=utf-8"),
+    "/trial": ("trial.html", "text/html; charset=utf-8"),
+    "/trial.css": ("trial.css", "text/css; charset=utf-8"),
     "/style.css": ("style.css", "text/css; charset=utf-8"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
     **{f"/{name}.js": (f"{name}.js", "text/javascript; charset=utf-8") for name in SCRIPTS},
@@ -65,10 +67,24 @@ SECURITY = {
 }
 
 
+class TrialPage(Protocol):
+    """Asks a person on the page `/trial`. The event loop's thread calls the methods.
+
+    joined, left: a page has connected or gone. take: takes what it says, returns what it is told.
+    """
+
+    def joined(self) -> None: ...  # noqa: D102
+
+    def left(self) -> None: ...  # noqa: D102
+
+    def take(self, said: object) -> dict[str, Any]: ...  # noqa: D102
+
+
 class PageServer:
     """Serves the page until `run` is cancelled. Only the event loop's thread may use it.
 
     folder: has the key and the codes. clock: gives the time of day.
+    trial: asks questions on the page `/trial`; None for the live page.
     pending: connections that have not shown the key, the oldest first.
     """
 
@@ -79,7 +95,9 @@ class PageServer:
         rate_hz: float,
         clock: Callable[[], float],
         environ: Mapping[str, str],
+        trial: TrialPage | None = None,
     ) -> None:
+        self._trial = trial
         self._listen, self._folder, self._key = listen, folder, load_key(folder)
         self._rate_hz, self._clock, self._environ = rate_hz, clock, environ
         self._clients = Clients()
@@ -89,6 +107,10 @@ class PageServer:
         self._files = {
             path: (static.joinpath(name).read_bytes(), kind) for path, (name, kind) in FILES.items()
         }
+
+    def show_trial(self, screen: dict[str, Any]) -> None:
+        """Show a screen of a trial on all pages, and on pages that connect later."""
+        self._clients.tell("trial", screen)
 
     async def run(self, on_ready: Callable[[Listen], None]) -> None:
         """Serve the page; call `on_ready` with its address.
@@ -122,6 +144,8 @@ class PageServer:
             logger=logger,
         ):
             on_ready(listen)
+            if self._trial is not None:
+                await asyncio.get_running_loop().create_future()
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._link.run())
                 tasks.create_task(frames.run())
@@ -161,6 +185,8 @@ class PageServer:
         assert isinstance(connection, _Connection)
         self.pending.pop(connection, None)
         client = self._clients.add()
+        if self._trial is not None:
+            self._trial.joined()
         client.answer(json.dumps({"key": self._access.key}))
         sending = asyncio.ensure_future(client.send_all(connection.send))
         asking = asyncio.ensure_future(self._carry_out(client))
@@ -178,6 +204,8 @@ class PageServer:
             pass
         finally:
             self._clients.remove(client)
+            if self._trial is not None:
+                self._trial.left()
             sending.cancel()
             with suppress(asyncio.CancelledError, ConnectionClosed):
                 await sending
@@ -204,7 +232,9 @@ class PageServer:
         """Carry out the waiting requests of a browser."""
         while waiting := client.requests.take():
             request, answer_by = waiting
-            if request.keys() == {"autostart"}:
+            if self._trial is not None:
+                answer = self._trial.take(request)
+            elif request.keys() == {"autostart"}:
                 answer = await asyncio.to_thread(self._start_at_login, request["autostart"])
             else:
                 if isinstance(sync := request.get("sync"), dict):

@@ -1,6 +1,7 @@
 """The transform's parameters and derived quantities. The paper's symbols are in parentheses."""
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -8,11 +9,41 @@ from typing import Annotated, Any
 from audioflinger_hook.transform.filters import fast_length
 from device.errors import UsageError
 from device.layouts import CHANNELS_MAX
-from device.values import Choice, Described, Number, Refusal
+from device.values import Choice, Described, Number, Refusal, Text
 
 SAMPLERATE_MIN_HZ = 1_000
 SAMPLERATE_MAX_HZ = 768_000
 THRESHOLD_MIN_HZ = 0.001
+
+
+FIT_POINT = r"\d+(\.\d+)?:-?\d+(\.\d+)?"
+FIT_NAME = r"\w[\w.+-]*"
+
+
+@dataclass(frozen=True)
+class FitText(Text):
+    """The name of a fit, or its curve: sensitivity in dB at ascending frequencies, HZ:DB,..."""
+
+    grammar: str = "the name of a fit; `cushion fit list` shows them"
+
+    def refuse(self, value: object) -> Refusal | None:
+        """Refuse what is neither a name nor a curve; "" is the default."""
+        text = value if isinstance(value, str) else ":"
+        is_curve = re.fullmatch(f"{FIT_POINT}(,{FIT_POINT})+", text)
+        hz = [hz for hz, _ in fit_points(text)] if is_curve else []
+        if re.fullmatch(f"({FIT_NAME})?", text) or (hz and hz == sorted({*hz})):
+            return None
+        return Refusal("is not the name of a fit", self.allowed)
+
+    def json_schema(self) -> dict[str, Any]:
+        """Return a string, empty for the default."""
+        return {"type": "string"}
+
+
+def fit_points(curve: str) -> list[tuple[float, float]]:
+    """Return frequencies in Hz and sensitivities in dB of a curve HZ:DB,... ."""
+    points = (point.partition(":") for point in curve.split(","))
+    return [(float(hz), float(db)) for hz, _, db in points]
 
 
 @dataclass(frozen=True)
@@ -119,10 +150,12 @@ class TransformParameters(Described):
         str,
         Choice(
             "weight of amplitudes in the strength: 1 (flat), the sensitivity of a seated body "
-            "(felt), or this sensitivity times the rig's response (rig)",
-            ("flat", "felt", "rig"),
+            "(felt), the sensitivity that `cushion fit` has measured (fit), or that of a seated "
+            "body times the rig's response (rig)",
+            ("flat", "felt", "fit", "rig"),
         ),
     ] = "flat"
+    fit: Annotated[str, FitText("fit that strength = fit uses; default: the device's")] = ""
     resonance_hz: Annotated[
         float,
         Number(

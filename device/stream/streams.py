@@ -43,6 +43,7 @@ class CallbackCounts:
         self.audible = audible
         self.opened_s = self.last_callback_s = time.monotonic()
         self.callbacks = self.frames = self.xruns = self.silenced = 0
+        self.delay_s = 0.0
         self.errors = Counter[str]()
 
     def _count(self, error: BaseException) -> None:
@@ -116,6 +117,8 @@ class _Stream(CallbackCounts):
                 self._claimed = self._priority.round
                 self._priority.claim()
             self.last_callback_s = now_s
+            if self._output:
+                self.delay_s = times["output_buffer_dac_time"] - times["current_time"]
             self.callbacks += 1
             self.frames += frames
             self.xruns += bool(flags & _XRUNS)
@@ -183,6 +186,7 @@ class PlaybackStream(_Stream):
     finite, silence is sent and `errors` increases. on_sent: called by the same thread with every
     sent block, even if silent, and time.monotonic(); it may read and keep the block. Neither
     function may wait or close the stream. sample_format: format of the samples for PortAudio.
+    delay_s: time from the latest callback until its first frame is played, as the server reports.
     pcm, samplerate, channels, block_frames, priority, attributes, errors: as in `CaptureStream`.
     """
 

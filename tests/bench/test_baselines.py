@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
+from audioflinger_hook.baselines import centroid, envelope, octave_fold
 from tests.support.signals import level_db
-from tools.bench.baselines import BASELINES, centroid, envelope, octave_fold
+from tools.bench.baselines import BASELINES
 from tools.bench.measures.vibration import sine_fit
 from tools.bench.sounds.signals import SAMPLERATE, tone, white_noise
 

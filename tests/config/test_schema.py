@@ -168,8 +168,9 @@ def test_check_prints_the_schema_and_needs_no_config(tmp_path: Path) -> None:
 
 def test_the_schema_accepts_the_examples_of_the_pages_and_every_default() -> None:
     examples = [tomllib.loads(text) for text in EXAMPLES]
-    configs = [example for example in examples if "project" not in example]
-    assert len(configs) == 6
+    others = {"project", "conditions"}  # packages, and designs of studies
+    configs = [example for example in examples if not others & example.keys()]
+    assert len(configs) == 7
     # All keys of the example, those in comments included.
     document = tomllib.loads(re.sub(r"^# (\w+ = )", r"\1", EXAMPLES[0], flags=re.MULTILINE))
     assert document.keys() >= keys_of("").keys()
@@ -228,8 +229,8 @@ def test_every_setting_is_a_key_and_every_key_is_a_setting() -> None:
 def test_the_effect_has_the_ranges_of_the_schema() -> None:
     parameters = {parameter.name: parameter for parameter in HAPTIC_PARAMETERS}
     for key in (*keys_of("transform").values(), keys_of("")["gain_db"]):
-        if key.field == "channels":
-            continue  # the effect's is called per_channel
+        if key.field in ("channels", "fit"):
+            continue  # the effect's are called per_channel, and any text
         parameter = parameters[key.field]
         assert parameter.default == key.default
         if isinstance(key.description, Number):
@@ -267,6 +268,7 @@ def another(key: Any) -> Any:
         "device": "sink:b",
         "channels": (9,),
         "match": "a",
+        "fit": "25:0,70:1",
     }
     return (by_name | {"effects_file": Path("x.xml")}).get(key.field, ("a",))
 

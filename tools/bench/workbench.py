@@ -110,6 +110,7 @@ class Effort:
     rig_timed_s: duration of the drive signals in timings of the rig.
     real_sounds, exported: upper limit of the number of sounds of each class.
     films: number of films of each kind.
+    sitters: number of simulated people of each kind.
     catalogue_shared: duration in s and number of the files that two workers share.
     """
 
@@ -143,6 +144,7 @@ class Effort:
     real_sounds: int = 3
     films: int = 1
     exported: int = 1
+    sitters: int = 20
 
     def repeats_of(self, subject: Subject) -> int:
         """Return how often a method is timed."""
@@ -158,7 +160,7 @@ FULL = Effort(
     scaling_s=64.0, channels_s=4.0, hops_timed=30_000,
     render_s=(60.0, 600.0), rig_s=60.0, rig_timed_s=10.0, model_repeats=7, integrator_repeats=5,
     real_sounds=99, films=20, exported=99, catalogue_s=(1.0, 60.0, 3_600.0),
-    catalogue_shared=(60.0, 32),
+    catalogue_shared=(60.0, 32), sitters=200,
 )  # fmt: skip
 
 

@@ -28,6 +28,7 @@ class ChainPlan:
     samplerate: Hz. sources: name of each vibration's source; () if the only source is "mix".
     outputs: number of vibrations. actuators: index of the vibration that each actuator plays.
     drives: (rig, damping, protection, exposure cap) of each configured actuator, or one for all.
+    is_trial: whether each channel of the tap is a trial's vibration, which needs no transform.
     """
 
     samplerate: int
@@ -37,6 +38,7 @@ class ChainPlan:
     actuators: tuple[int, ...]
     parameters: TransformParameters
     drives: tuple[tuple[str, ...], ...]
+    is_trial: bool = False
 
     @classmethod
     def of(cls, settings: Settings, tap: Tap, samplerate: int) -> "ChainPlan":
@@ -50,7 +52,11 @@ class ChainPlan:
         # As in the Python engine, the mix alone needs no weights.
         mixed = () if sources in ((), ("mix",)) else sources
         parameters, drives = settings.transform_parameters, drives_of(settings)
-        return cls(samplerate, tap.channels, mixed, outputs, routed, parameters, drives)
+        if tap.is_trial:
+            mixed, routed = (), (0,) * len(routed)
+        return cls(
+            samplerate, tap.channels, mixed, outputs, routed, parameters, drives, tap.is_trial
+        )
 
     @property
     def node(self) -> tuple[int, int, int]:
@@ -68,6 +74,11 @@ class ChainPlan:
         return LiveDesign.of(self.parameters, self.samplerate)
 
     @property
+    def latency_frames(self) -> int:
+        """Latency of the transform for onsets; 0 without a transform."""
+        return 0 if self.is_trial else self.transform.latency_frames
+
+    @property
     def columns(self) -> int:
         """Number of actuators for each entry of `drives`."""
         return len(self.actuators) // len(self.drives)
@@ -81,8 +92,8 @@ class ChainPlan:
         return core_design(
             self.samplerate,
             self.tap_channels,
-            transform=self.transform.records(),
-            each=self.outputs > 1,
+            transform=None if self.is_trial else self.transform.records(),
+            each=self.outputs > 1 and not self.is_trial,
             mixes=() if self.weights is None else source_mixes(self.weights),
             drives=[drive for drive in drives for _ in range(self.columns)],
             delay_frames_max=round(DELAY_MAX_S * self.samplerate),

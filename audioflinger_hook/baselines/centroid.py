@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from audioflinger_hook.baselines.hops import SineBaseline
 from audioflinger_hook.transform import FloatArray
-from tools.bench.baselines.hops import SineBaseline
 
 BAND_HZ = (30.0, 600.0)
 OVERLAP = 8

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from scipy.signal import butter
 
+from audioflinger_hook.baselines.stages import Baseline, Filter
 from audioflinger_hook.transform import FloatArray
-from tools.bench.baselines.stages import Baseline, Filter
 
 BAND_HZ = (50.0, 250.0)
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from audioflinger_hook.baselines.hops import SineBaseline
 from audioflinger_hook.transform import FloatArray
-from tools.bench.baselines.hops import SineBaseline
 
 RANGES_HZ = ((400.0, 1_000.0), (1_000.0, 3_600.0))
 UNDER_HZ = 230.0

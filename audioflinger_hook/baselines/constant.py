@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from audioflinger_hook.baselines.stages import Baseline
 from audioflinger_hook.transform import FloatArray
-from tools.bench.baselines.stages import Baseline
 
 HZ, AMPLITUDE = 80.0, 0.1
 

@@ -7,8 +7,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import rfft
 from scipy.signal.windows import hann
 
+from audioflinger_hook.baselines.stages import Baseline
 from audioflinger_hook.transform import FloatArray
-from tools.bench.baselines.stages import Baseline
 
 POINTS_AT_48_KHZ = 1_024
 

@@ -13,8 +13,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import bilinear
 
+from audioflinger_hook.baselines.stages import Baseline, Filter, high_pass, low_pass
 from audioflinger_hook.transform import FloatArray
-from tools.bench.baselines.stages import Baseline, Filter, high_pass, low_pass
 
 RESONANCE_HZ = 150.0
 BAND_Q, ZERO_Q, POLE_Q = 1.0, 8.0, 4.0

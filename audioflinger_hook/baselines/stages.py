@@ -17,6 +17,7 @@ class Baseline:
     """Converts sound block by block to one channel of vibration; both have full scale ±1.
 
     Subclasses implement `vibration`. Non-finite and extremely large samples count as 0.
+    samplerate: of sound and vibration, in Hz. channels: of the sound.
     """
 
     latency_frames = 0  # latency of `process`, and length of the output of `finish`

@@ -1,0 +1,1 @@
+"""Studies with people: design, trials, sessions, estimates and report of `cushion study`."""

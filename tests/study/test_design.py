@@ -1,0 +1,85 @@
+"""A design is checked before the first participant: every mistake is told, all at once."""
+
+import pytest
+
+from audioflinger_hook.study.design import check
+from tests.support.commands import call
+from tests.support.studies import QUESTIONS, make_study
+
+MISTAKES = [  # what replaces what in a good design, the key, and words of the message
+    (
+        'paradigm = "preference"',
+        'paradigm = "preferense"',
+        "question[1].paradigm",
+        "mean preference",
+    ),
+    ('file = "x.wav"', 'file = "gone.wav"', "stimulus[1].file", "is not a file"),
+    ('file = "x.wav"', 'file = "design.toml"', "stimulus[1].file", "is not a sound file"),
+    ("repeats = 2", "repeats = 0", "question[1].repeats", "1 to 1000"),
+    ("repeats = 2", "repeats = 3", "question[1].repeats", "is odd"),
+    ("repeats = 2", "repeats = 1000\noffsets_ms = [0, 1]", "question[1].offsets_ms", "3 or more"),
+    ('name = "b"', 'name = "a"', "condition[2].name", "duplicate"),
+    ('["a", "b", "c"]', '["a", "b", "b"]', "question[1].conditions", "duplicate 'b'"),
+    ('["a", "b", "c"]', '["a", "d"]', "question[1].conditions", "'d'"),
+    ('["a", "b", "c"]', "[]", "question[1].conditions", "2 or more"),
+    ('stimuli = ["x", "y"]', "stimuli = []", "question[1].stimuli", "1 or more"),
+    ('method = "envelope"', 'method = "envelop"', "condition[2].method", "mean envelope"),
+    ('method = "envelope"', 'method = "v/{stimulus}.wav"', "condition[2].method", "v/y.wav"),
+    ('title = "t"', 'titel = "t"', "titel", "mean title"),
+    ('title = "t"', "", "title", "is missing"),
+]
+
+
+def changed(tmp_path, *pairs, paradigms=("preference",)):
+    make_study(tmp_path, *paradigms)
+    text = (tmp_path / "design.toml").read_text()
+    for old, new in pairs:
+        text = text.replace(old, new, 1)
+    (tmp_path / "design.toml").write_text(text)
+    return [(one.key, str(one)) for one in check(tmp_path)[1]]
+
+
+@pytest.mark.parametrize(("old", "new", "key", "words"), MISTAKES)
+def test_a_mistake_is_told_with_its_key(tmp_path, old, new, key, words):
+    found = changed(tmp_path, (old, new))
+    assert any(told == key and words in text for told, text in found), found
+
+
+def test_each_paradigm_has_a_design_without_mistakes(tmp_path):
+    assert changed(tmp_path, paradigms=list(QUESTIONS)) == []
+
+
+def test_all_mistakes_are_told_at_once_and_the_exit_code_is_2(tmp_path):
+    pairs = [
+        ('paradigm = "preference"', 'paradigm = "no"'),
+        ('file = "x.wav"', 'file = "gone.wav"'),
+        ("repeats = 2", "repeats = 0"),
+        ('name = "b"', 'name = "a"'),
+        ("repeats = 6", "repeats = 1000\nreferense = 1"),
+        ("level_db = -40", "level_db = -40\nanswer_s = 60.0"),
+    ]
+    keys = {key for key, _ in changed(tmp_path, *pairs, paradigms=("preference", "synchrony"))}
+    assert keys >= {
+        *("question[1].paradigm", "stimulus[1].file", "question[1].repeats", "condition[2].name"),
+        *("question[2].referense", "this study"),
+    }
+    done = call("study", "check", tmp_path)
+    assert (done.code, len(done.stderr.splitlines())) == (2, len(check(tmp_path)[1]))
+
+
+def test_a_study_of_more_than_8_hours_is_refused(tmp_path):
+    slow = ("level_db = -40", "level_db = -40\nanswer_s = 9.0")
+    found = changed(tmp_path, ("repeats = 2", "repeats = 1000"), slow)
+    assert [key for key, _ in found] == ["this study"]
+    assert "at most 8 h" in found[0][1]
+
+
+def test_a_condition_that_gives_no_vibration_for_a_sound_is_told(tmp_path):
+    changed(tmp_path, ('name = "x"\nfile = "x.wav"', 'name = "x"\nfile = "low.wav"'))
+    import numpy as np
+    import soundfile
+
+    soundfile.write(tmp_path / "low.wav", np.sin(np.arange(9_600) * 0.013), 48_000)
+    silent = call("study", "check", tmp_path, "--no-power")
+    assert silent.code == 2
+    assert "gives no vibration" in silent.stderr
