@@ -42,9 +42,9 @@ def long(tmp_path):
     return path
 
 
-def player_of(environ):
+def player_of():
     """A player of the daemon, which is closed at the end of the block."""
-    return closing(DaemonPlayer(time.monotonic, environ))
+    return closing(DaemonPlayer(time.monotonic))
 
 
 def lags(path: Path) -> list[int]:
@@ -71,7 +71,7 @@ def test_sound_and_vibration_of_a_trial_coincide(pipewire, noise, tmp_path):
     both = ("desktop", "monitor_FL"), ("haptic", "monitor_FL")
     with (
         running(pipewire, engine="native"),
-        player_of(pipewire.environment) as player,
+        player_of() as player,
     ):
         assert player.wait(10.0)
         with recorded_together(*both, tmp_path, pipewire.environment, RATE_HZ) as path:
@@ -99,7 +99,7 @@ def test_the_vibration_waits_for_a_sound_whose_sink_declares_a_delay(
     environ = timed_pipewire.environment
     with (
         running(timed_pipewire, engine="native") as daemon,
-        player_of(environ) as player,
+        player_of() as player,
     ):
         assert player.wait(10.0)
         status = daemon.wait(lambda one: one.offset_reason == DECLARED, "the declared delay")
@@ -118,7 +118,7 @@ def test_the_vibration_waits_for_a_sound_whose_sink_declares_a_delay(
 def test_a_trial_ends_at_once_with_a_fade(pipewire, long, how, tmp_path):
     with (
         running(pipewire, engine="native"),
-        player_of(pipewire.environment) as player,
+        player_of() as player,
         recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
     ):
         assert player.wait(10.0)
@@ -152,12 +152,12 @@ def test_tapped_sound_is_not_felt_during_a_session_and_felt_after_it(pipewire, t
         recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
     ):
         assert np.abs(more(felt, 1.0)).max() > FELT
-        with player_of(pipewire.environment) as player:
+        with player_of() as player:
             assert player.wait(10.0)
             more(felt, 0.5)
             assert np.abs(more(felt, 1.0)).max() < FELT
             with (
-                player_of(pipewire.environment) as another,
+                player_of() as another,
                 pytest.raises(UsageError, match="another program plays trials"),
             ):
                 another.wait(0.0)
@@ -170,7 +170,7 @@ def test_a_trial_whose_device_is_unplugged_was_not_played_and_is_played_when_it_
 ):
     with (
         running(pipewire, engine="native"),
-        player_of(pipewire.environment) as player,
+        player_of() as player,
     ):
         assert player.wait(10.0)
         unplugging = threading.Timer(
@@ -193,10 +193,9 @@ def test_protection_and_exposure_are_in_the_way_of_a_trial(pipewire, long, tmp_p
     soundfile.write(loud, 3.3 * tone(40.0, 1.0)[:, 0], RATE_HZ, subtype="FLOAT")
     soft = tmp_path / "soft.wav"
     soundfile.write(soft, 0.1 * tone(40.0, 1.0)[:, 0], RATE_HZ, subtype="FLOAT")
-    environ = pipewire.environment
     with (
         running(pipewire, *options, engine="native"),
-        player_of(environ) as player,
+        player_of() as player,
     ):
         assert player.wait(15.0)
         quiet, played, again = (player.play(None, one) for one in (soft, loud, soft))
@@ -213,11 +212,11 @@ def test_protection_and_exposure_are_in_the_way_of_a_trial(pipewire, long, tmp_p
 
 def test_without_a_daemon_and_with_the_python_engine_it_says_what_to_do(pipewire):
     with (
-        player_of(pipewire.environment) as player,
+        player_of() as player,
         pytest.raises(NotFoundError, match="start one with `cushion run`"),
     ):
         player.status()
-    with running(pipewire), player_of(pipewire.environment) as player:
+    with running(pipewire), player_of() as player:
         assert not player.wait(0.5)
         assert "trials need the native engine" in player.why_not
 
