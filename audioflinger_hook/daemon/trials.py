@@ -24,7 +24,7 @@ def trial_figures(supervisor: Supervisor) -> dict[str, Any]:
     elif engines.reason:
         why = f"trials need the native engine, which does not play: {engines.reason}"
     if native is None or chain is None:
-        return {"why": why, "ready": False}
+        return {"why": why or "the daemon prepares trials", "ready": False}
     plan, page, rigs = chain.plan, chain.page, [rig for rig in chain.design.rigs if rig]
     own_s = 1e-3 * sum(parts_of_native(native, chain).values())
     transform_s = plan.transform.latency_frames / plan.samplerate

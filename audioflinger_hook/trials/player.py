@@ -1,9 +1,8 @@
-"""Plays trials of sound and vibration, and measures them while the daemon plays the vibration."""
+"""Plays trials of sound and vibration, and measures them by what the daemon says meanwhile."""
 
-import math
 import shlex
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import soundfile
+from scipy.integrate import trapezoid
 from scipy.signal import resample_poly
 
 from audioflinger_hook.config.file import names_a_device
@@ -18,18 +18,18 @@ from audioflinger_hook.service.install import own_command
 from audioflinger_hook.service.meters import FLOOR_DBFS, RMS_TIME_S
 from audioflinger_hook.service.status import ExposureFigures, Status
 from audioflinger_hook.service.status_client import ask_control, ask_status
-from audioflinger_hook.trials.stream import COLUMNS, PCM, RATE_HZ, TrialFrames, TrialStream
+from audioflinger_hook.trials.stream import COLUMNS, RATE_HZ, Trial, TrialStream
 from device.address import parse_device
 from device.errors import LostError, NotFoundError, UsageError
 from device.process import started
 from device.stream.pcms import PcmConfig
 from device.units import Float32Array, amplitude_to_db, db_to_amplitude
 
+PCM = "cushion_trials"
 ANSWER_S = 5.0  # longest wait for an answer of the daemon
-POLL_S = 0.03  # between two looks at the levels of a trial
-ASK_S = 0.1  # between two questions whether the daemon is ready
+POLL_S, ASK_S = 0.03, 0.1  # between two looks during a trial, and before one
 BEGINS_S = 20.0  # longest time until a daemon plays trials
-LOST_S = 0.3  # for the fade of a trial that is lost
+FADES_S = 0.5  # from a stop to the end of the fade
 AFTER_S = 0.1  # from the last frame at the device to the last look at the levels
 
 Frames = Path | Float32Array | None  # a file, or (frames, channels) at RATE_HZ
@@ -66,16 +66,16 @@ class Played:
 class DaemonPlayer:
     """Plays one trial at a time through the user's daemon. Until `close`, no other sound is felt.
 
-    clock: returns time.monotonic(). why_not: why no trial could be played when it was last looked
-    for, or "". Errors of all methods except `close` and `stop`: NotFoundError: no daemon runs.
-    UsageError: another program plays trials. InternalError: the daemon does not answer. LostError:
-    `close` was called.
+    clock: returns time.monotonic(). why_not: why no trial could be played at the last look, or "".
+    Errors of `status`, `play` and `wait`: NotFoundError: no daemon runs. UsageError: another
+    program plays trials. InternalError: the daemon does not answer. LostError: `close` was called.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock, self.why_not = clock, ""
         self._pcms = PcmConfig(PCM)
         self._stream: TrialStream | None = None
+        self._trial: Trial | None = None
         self._playing, self._closed = threading.Lock(), threading.Event()
 
     def status(self) -> Status:
@@ -86,42 +86,38 @@ class DaemonPlayer:
         """Play both from their first frames on; return after the end.
 
         sound: for the default output, 1 or 2 channels. vibration: 1 channel, in shares of full
-        scale before the config's gain. Both get raised-cosine ends of 50 ms.
-        NotPlayedError: the device or the server was lost, or is not ready: the trial counts
-        as not played. UsageError: a file cannot be played.
+        scale before the config's gain. Both get raised-cosine ends of 50 ms. NotPlayedError: the
+        device or the server was lost, or is not ready: the trial counts as not played. UsageError:
+        a file cannot be played.
         """
         frames = mixed(sound, vibration)
         with self._playing:
-            first, before = self._look(), self.status().exposure
-            stream, lost, lead_s = self._stream, self.why_not, float(first.get("lead_s", 0.0))
-            if lost or stream is None:
-                raise NotPlayedError(f"the trial was not played: {lost}")
-            trial, meter = TrialFrames(frames, lead_s), Meter(first)
-            lost_blocks, later_s = stream.lost_blocks, first["felt_s"]
-            stream.trial = trial
+            readings, before, lost = [self._look()], self.status().exposure, self.why_not
+            lead_s, later_s = (readings[0].get(name, 0.0) for name in ("lead_s", "felt_s"))
+            trial = self._trial = Trial(frames, lead_s)
+            if self._stream is not None and not lost:
+                self._stream.play(trial)
             try:
                 while not lost and self._clock() < trial.ends_s + later_s + AFTER_S:
                     self._closed.wait(POLL_S)
-                    meter.take(self._look())
+                    readings.append(self._look())
                     lost = self.why_not
-                    if stream.lost_blocks != lost_blocks:
-                        lost = "a block came too late; close other programs"
                 stopped = trial.stops
             finally:
                 trial.stops = True
             if lost:
-                self._closed.wait(LOST_S)
+                self._closed.wait(FADES_S)
                 raise NotPlayedError(f"the trial was not played: {lost}")
             seconds = trial.played / RATE_HZ - abs(lead_s)
             began_s = trial.began_s + max(0.0, lead_s) + later_s
             heard_s, felt_s = (None if one is None else began_s for one in (sound, vibration))
-            exposure = exposed(before, self.status().exposure)
-            return Played(heard_s, felt_s, seconds, stopped, *meter.result(seconds), *exposure)
+            levels, exposure = measured(readings, seconds), exposed(before, self.status().exposure)
+            return Played(heard_s, felt_s, seconds, stopped, *levels, *exposure)
 
     def stop(self) -> None:
         """End the trial that plays with a fade of 50 ms. Any thread; without a trial, nothing."""
-        if (stream := self._stream) is not None and stream.trial is not None:
-            stream.trial.stops = True
+        if self._trial is not None:
+            self._trial.stops = True
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until a trial can be played; return whether it can. `why_not` says why not."""
@@ -140,8 +136,8 @@ class DaemonPlayer:
         self._closed.set()
         self.stop()
         with self._playing:
-            if self._stream is not None:
-                self._stream.fade(self._clock)
+            if self._trial is not None and self._clock() < self._trial.ends_s:
+                threading.Event().wait(FADES_S)
             self._end_stream()
         self._pcms.close()
 
@@ -150,13 +146,13 @@ class DaemonPlayer:
         if self._closed.is_set():
             raise LostError("the session of trials has ended")
         found: dict[str, Any] = ask_control({"trial": True}, ANSWER_S, self._clock)
-        self.why_not, now_s = str(found["why"]), self._clock()
+        self.why_not = found["why"]
         try:
-            if self._stream is not None and self._stream.is_lost(now_s):
-                self._end_stream()
             if self._stream is None and not self.why_not:
-                self._stream = TrialStream(self._pcms, self.status().device.name)
-            if not (self._stream and self._stream.is_ready(now_s) and found["ready"]):
+                self._stream = TrialStream(self._pcms.pcms[PCM], self.status().device.name)
+            if self._stream is not None:
+                self.why_not = self.why_not or self._stream.why_not(self._clock())
+            if not found["ready"]:
                 self.why_not = self.why_not or "the daemon prepares trials"
         except (LostError, NotFoundError) as error:
             self._end_stream()
@@ -169,32 +165,23 @@ class DaemonPlayer:
             stream.close()
 
 
-class Meter:
-    """Measures a trial by what the daemon says while it plays. first: what it says before."""
+def measured(readings: Sequence[Mapping[str, Any]], seconds: float) -> tuple[float, float]:
+    """Return the level of a trial in dBFS, and the attenuation by protection in dB.
 
-    def __init__(self, first: Mapping[str, Any]) -> None:
-        self._energies_s, self._gain = np.zeros(len(first["mean_squares"])), 1.0
-        self._seconds, self._before = first["seconds"], np.array(first["mean_squares"])
-
-    def take(self, now: Mapping[str, Any]) -> None:
-        """Take what the daemon says; call it often while the trial plays."""
-        seconds = now.get("seconds", 0.0) - self._seconds
-        if seconds > 0.0:
-            kept, squares = math.exp(-seconds / RMS_TIME_S), np.array(now["mean_squares"])
-            self._energies_s += seconds * (squares - kept * self._before) / (1.0 - kept)
-            self._gain = min(self._gain, now["gain"])
-            self._seconds, self._before = now["seconds"], squares
-
-    def result(self, seconds: float) -> tuple[float, float]:
-        """Return the level in dBFS of a trial of `seconds`, and protection's attenuation in dB."""
-        energy_s = max(0.0, float(self._energies_s.max(initial=0.0)))
-        level = math.sqrt(energy_s / max(seconds, 1.0 / RATE_HZ))
-        least = db_to_amplitude(FLOOR_DBFS)
-        return amplitude_to_db(max(level, least)), abs(amplitude_to_db(max(self._gain, least)))
+    readings: what the daemon said from the beginning to the end. seconds: duration of the trial.
+    """
+    times_s, squares, gains = (
+        np.array([one[name] for one in readings]) for name in ("seconds", "mean_squares", "gain")
+    )
+    # the mean square of the input, as the readings follow it with a time constant
+    energies_s = trapezoid(squares, times_s, axis=0) + RMS_TIME_S * (squares[-1] - squares[0])
+    level = np.sqrt(max(0.0, energies_s.max()) / max(seconds, 1.0 / RATE_HZ))
+    least = db_to_amplitude(FLOOR_DBFS)
+    return amplitude_to_db(max(level, least)), abs(amplitude_to_db(max(gains.min(), least)))
 
 
 def exposed(before: ExposureFigures | None, now: ExposureFigures | None) -> list[float | None]:
-    """Return A(8) and VDV of what was felt between two readings, None without a rig."""
+    """Return A(8) and VDV of what was felt between two readings of the day; None without a rig."""
     if before is None or now is None:
         return [None, None]
     both = (before.a8_m_s2, now.a8_m_s2, 2), (before.vdv, now.vdv, 4)

@@ -81,7 +81,11 @@ def server() -> Iterator[SoundServer]:
         tempfile.TemporaryDirectory(prefix="cushion-") as folder,
         SoundServer("pipewire", Path(folder)) as made,
         running(made, engine="native"),
+        pytest.MonkeyPatch.context() as patch,
     ):
+        for name in ("XDG_RUNTIME_DIR", "PULSE_SERVER", "PULSE_COOKIE", "PIPEWIRE_RUNTIME_DIR"):
+            if name in made.environment:
+                patch.setenv(name, made.environment[name])
         yield made
 
 
