@@ -26,10 +26,9 @@ _EMPTY: Screen = {"choices": (), "also": (), "labels": (), "done": 0, "total": 0
 def screen(kind: Kind, title: str, *text: str, **more: Any) -> Screen:
     """Return one screen of the page.
 
-    kind: "choice" has large buttons, "one of" many, "slider" a rating from 0 to 100, "text" text to
-    read with buttons below; "playing" takes no answer. text: paragraphs. more: choices: large
-    buttons. also: smaller ones. labels: texts below the slider, from left to right. done, total:
-    trials, for the progress bar. practice: whether to say that it is.
+    kind: "choice" has large buttons, "one of" many, "slider" a rating from 0 to 100, "text"
+    paragraphs to read; "playing" takes no answer. more: choices, also: large and smaller buttons.
+    labels: below the slider. done, total: trials, for the progress bar. practice: shown as such.
     """
     return {**_EMPTY, "kind": kind, "title": title, "text": text, **more}
 
@@ -37,8 +36,7 @@ def screen(kind: Kind, title: str, *text: str, **more: Any) -> Screen:
 class Answer(NamedTuple):
     """A person's answer. value: of the button, or 0 to 100 of a slider.
 
-    after_s: time from the screen's first drawing to the answer, by the page's clock, without
-    pauses. pauses: number of pauses meanwhile.
+    after_s: time since the screen was drawn, by the page's clock, without the number of `pauses`.
     """
 
     value: str | float
@@ -53,11 +51,9 @@ class StoppedError(LostError):
 class PageAnswers:
     """Serves the page in a thread until `close`; implements `Link`.
 
-    on_stop: called at once in this thread if the person pauses, stops or closes the page. tell:
-    called with an address that opens the page once, and with another when the page is closed.
-    clock: returns the time of day. UsageError: a package is not installed.
-
-    Errors of `ask` and `wait`: StoppedError: the person ends the session. Others: as of PageServer.
+    on_stop: called in this thread if the person pauses, stops or closes the page. tell: called with
+    an address that opens the page once, again after its end. clock: returns the time of day.
+    UsageError: a package is missing. `ask` and `wait` raise StoppedError and those of PageServer.
     """
 
     def __init__(

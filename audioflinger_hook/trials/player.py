@@ -43,14 +43,11 @@ class NotPlayedError(LostError):
 class Played:
     """What was played. Times are in seconds of the audio clock (CLOCK_MONOTONIC).
 
-    sound_began_s, vibration_began_s: when the first frame is heard and felt; None without it. Both
-    are equal: the daemon's offset aligns them.
-    seconds: duration that was played. stopped: whether `stop` ended it early, with a fade.
-    level_dbfs: r.m.s. over the duration of the strongest actuator's signal: the vibration as sent
-    to the device, after gain, damping and protection; at least -150.
-    protection_db: largest attenuation by protection that was seen, 0 to 150.
-    a8_m_s2, vdv_m_s175: exposure by this trial alone (see `Exposure`); None without a rig. Of
-    several trials, squares of A(8) and fourth powers of VDV add up.
+    sound_began_s, vibration_began_s: when the first frame is heard and felt; None without it.
+    stopped: whether `stop` ended it early. level_dbfs: r.m.s. of the strongest actuator's signal
+    after gain, damping and protection. protection_db: largest attenuation by protection.
+    a8_m_s2, vdv_m_s175: exposure by this trial alone; None without a rig. Of several trials,
+    squares of A(8) and fourth powers of VDV add up.
     """
 
     sound_began_s: float | None
@@ -189,10 +186,7 @@ def exposed(before: ExposureFigures | None, now: ExposureFigures | None) -> list
 
 
 def mixed(sound: Frames, vibration: Frames) -> Float32Array:
-    """Return a trial's frames for the daemon, (frames, COLUMNS) at RATE_HZ; the shorter one ends.
-
-    UsageError: a file cannot be played.
-    """
+    """Return frames of a trial, (frames, COLUMNS) at RATE_HZ. UsageError: a file is not playable."""
     parts = []
     for source, most in ((sound, COLUMNS - 1), (vibration, 1)):
         frames = np.zeros((0, most), np.float32)
@@ -215,11 +209,10 @@ def mixed(sound: Frames, vibration: Frames) -> Float32Array:
 
 @contextmanager
 def opened(device: str, clock: Callable[[], float]) -> Iterator[DaemonPlayer]:
-    """Yield a player of the daemon that plays to a device, once it plays trials.
+    """Yield a player once it plays trials to a device, "" for the daemon's or the config's.
 
-    If no daemon runs, one is started, which ends with the block. device: its address, "" for the
-    daemon's or the config's. clock: returns seconds. UsageError: no device is named, or the daemon
-    plays to another. LostError: the daemon plays no trials.
+    If no daemon runs, one is started, which ends with the block. UsageError: no device is named, or
+    the daemon plays to another. LostError: the daemon plays no trials.
     """
     wanted = str(parse_device(device)) if device else ""
     command = [*own_command(), "run", *(["--device", wanted] if wanted else [])]

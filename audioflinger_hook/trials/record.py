@@ -38,12 +38,9 @@ class Rows:
 class TrialRecord(Rows, AbstractContextManager["TrialRecord"]):
     """An append-only file of trials, which one process may have open.
 
-    The first line is the header {"design": SHA-256, ...}; each further line is one trial. Half a
-    line, which kill -9 leaves, is removed. path: the file, which is made if it is missing, with its
-    folder. design: the design's `design_digest`. header: further entries of a new file's header.
-
-    UsageError: the file is no record or one of another design, or cannot be opened, or another
-    process has it open. WriteError: the disk is full.
+    Its first line is the header {"design": SHA-256, ...}. Half a line, which kill -9 leaves, is
+    removed. design: `design_digest`. header: further entries of a new file's header. UsageError:
+    the file is damaged, of another design, in use, or cannot be opened. WriteError: disk full.
     """
 
     def __init__(
@@ -69,11 +66,7 @@ class TrialRecord(Rows, AbstractContextManager["TrialRecord"]):
             raise
 
     def append(self, trial: Mapping[str, Any]) -> None:
-        """Write one trial as a line, and wait until it is on the disk.
-
-        trial: what JSON can hold, with finite numbers. WriteError: the disk is full; the file then
-        ends with the trial before, and `trials` does not have this one.
-        """
+        """Write one trial, and wait until it is on the disk. WriteError: disk full; it is not."""
         self._write(trial)
         super().append(trial)
 
@@ -91,17 +84,12 @@ class TrialRecord(Rows, AbstractContextManager["TrialRecord"]):
         if not self._length:
             self._write(self.header)
             return
-        for number, line in enumerate(content[: self._length].splitlines(), 1):
-            row = None
-            with suppress(ValueError, RecursionError):
-                row = json.loads(line)
-            if not isinstance(row, dict):
-                raise UsageError(
-                    f"line {number} of the record {self.path} is damaged; move the file away, or "
-                    "remove this line"
-                )
-            self.trials.append(row)
-        self.header = self.trials.pop(0)
+        try:
+            rows = [dict(json.loads(line)) for line in content[: self._length].splitlines()]
+        except (ValueError, TypeError, RecursionError) as error:
+            damaged = f"the record {self.path} is damaged ({error})"
+            raise UsageError(f"{damaged}; move it away, or remove the damaged line") from None
+        self.header, *self.trials = rows
         if (found := self.header.get("design")) != design:
             raise UsageError(
                 f"the record {self.path} belongs to another design (SHA-256 {str(found)[:12]}, "
@@ -144,8 +132,7 @@ def run(
 ) -> Iterator[Mapping[str, Any]]:
     """Yield each row after it is recorded. Trials that are recorded already are not repeated.
 
-    answer: lets somebody answer a trial, and returns the columns of the answer. pause: called
-    before the first trial of each later "block". Errors of both and WriteError pass through.
+    answer: returns the columns of somebody's answer. pause: called before each later "block".
     """
     block = 1
     for row in record.trials:
