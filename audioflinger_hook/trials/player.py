@@ -23,6 +23,7 @@ from device.address import parse_device
 from device.errors import LostError, NotFoundError, UsageError
 from device.process import started
 from device.stream.pcms import PcmConfig
+from device.stream.portaudio import filter_stderr
 from device.units import Float32Array, amplitude_to_db, db_to_amplitude
 
 PCM = "cushion_trials"
@@ -186,7 +187,7 @@ def exposed(before: ExposureFigures | None, now: ExposureFigures | None) -> list
 
 
 def mixed(sound: Frames, vibration: Frames) -> Float32Array:
-    """Return frames of a trial, (frames, COLUMNS) at RATE_HZ. UsageError: a file is not playable."""
+    """Return (frames, COLUMNS) of a trial at RATE_HZ. UsageError: a file cannot be played."""
     parts = []
     for source, most in ((sound, COLUMNS - 1), (vibration, 1)):
         frames = np.zeros((0, most), np.float32)
@@ -228,6 +229,7 @@ def opened(device: str, clock: Callable[[], float]) -> Iterator[DaemonPlayer]:
             child = started(command)
             stack.callback(child.wait)
             stack.callback(child.terminate)
+        filter_stderr()
         player = stack.enter_context(closing(DaemonPlayer(clock)))
         if not player.wait(BEGINS_S):
             told = f"the daemon plays no trials: {player.why_not}"

@@ -14,7 +14,16 @@ from scipy.signal import correlate
 from audioflinger_hook.daemon.offset import DECLARED
 from audioflinger_hook.trials.player import DaemonPlayer, NotPlayedError, mixed
 from device.errors import LostError, NotFoundError, UsageError
-from tests.servers.daemons import FELT, environment, felt_now, program, running, tone
+from tests.servers.daemons import (
+    FELT,
+    environment,
+    felt_hz,
+    felt_now,
+    pitch_hz,
+    program,
+    running,
+    tone,
+)
 from tests.servers.listening import RATE_HZ, more, playing, recording, wait_for
 from tests.servers.slow_sinks import SLOW, DeclaringSink
 from tools.live_latency.bursts import GraphOnce, recorded_together
@@ -151,11 +160,14 @@ import numpy as np
 from audioflinger_hook.trials.player import DaemonPlayer
 player = DaemonPlayer(time.monotonic)
 assert player.wait(10.0)
-player.play(None, np.full((20 * 48_000, 1), 0.3, np.float32))
+player.play(None, 0.3 * np.sin(2.0 * np.pi * 220.0 * np.arange(960_000) / 48_000.0)[:, None])
 """
 
 
 def test_a_killed_program_ends_its_trial_and_the_tapped_sound_is_felt_again(pipewire, tmp_path):
+    def hz() -> float:
+        return pitch_hz(felt()[-RATE_HZ // 2 :])
+
     with (
         playing(pipewire, "desktop", tone(110.0, 60.0)),
         running(pipewire, engine="native"),
@@ -163,9 +175,9 @@ def test_a_killed_program_ends_its_trial_and_the_tapped_sound_is_felt_again(pipe
     ):
         wait_for(lambda: felt_now(felt), "vibration of the tone")
         with program(environment(pipewire), sys.executable, "-c", PLAYS) as killed:
-            wait_for(lambda: np.ptp(felt()[-RATE_HZ // 10 :]) < 1e-3 < felt()[-1, 0], "a trial")
+            wait_for(lambda: hz() == pytest.approx(220.0, abs=3.0), "vibration of the trial", 40.0)
             killed.kill()
-            wait_for(lambda: felt_now(felt) and np.ptp(felt()[-RATE_HZ // 10 :]) > FELT, "a tone")
+            wait_for(lambda: hz() == pytest.approx(felt_hz(110.0), abs=3.0), "that of the tone")
         assert "trials" not in pipewire.pactl("list", "short", "sinks")
 
 
