@@ -1,4 +1,4 @@
-"""Plays trials of sound and vibration, and measures them by what the daemon says meanwhile."""
+"""Plays trials of sound and vibration, and measures them by reports of the daemon."""
 
 import shlex
 import threading
@@ -179,7 +179,7 @@ def measured(readings: Sequence[Mapping[str, Any]], seconds: float) -> tuple[flo
 
 
 def exposed(before: ExposureFigures | None, now: ExposureFigures | None) -> list[float | None]:
-    """Return A(8) and VDV of what was felt between two readings of the day; None without a rig."""
+    """Return A(8) and VDV between two readings of the day's exposure; None without a rig."""
     if before is None or now is None:
         return [None, None]
     both = (before.a8_m_s2, now.a8_m_s2, 2), (before.vdv, now.vdv, 4)
