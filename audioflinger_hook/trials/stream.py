@@ -25,7 +25,7 @@ from device.units import Float32Array
 RATE_HZ, BLOCK_FRAMES = 48_000, 4_096
 COLUMNS, CHANNELS = 3, 4  # left and right sound and vibration of a trial; the sink has one more
 FADE = np.hanning(round(0.1 * RATE_HZ))[round(0.05 * RATE_HZ) :, None]  # 50 ms
-GONE_LOOKS, GONE_LOOK_S = 10, 0.05  # for the end of an earlier sink
+GONE_LOOKS, GONE_LOOK_S = 20, 0.2  # for the end of an earlier sink
 NODE = (
     f"create-node adapter {{ factory.name=support.null-audio-sink node.name={TRIALS} "
     'node.description="Haptic Cushion (trials)" media.class=Audio/Sink '
