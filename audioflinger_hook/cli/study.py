@@ -29,7 +29,7 @@ from audioflinger_hook.trials.page import PageAnswers
 from audioflinger_hook.trials.person import Person
 from audioflinger_hook.trials.player import opened
 from audioflinger_hook.trials.record import TrialRecord
-from audioflinger_hook.trials.session import run as run_session
+from audioflinger_hook.trials.record import run as run_session
 from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError
 from device.wav_output import WavOutput

@@ -43,12 +43,6 @@ class Alignment:
         return self.offset.vibration_s - self._drop_in.delay_s
 
     @property
-    def felt_s(self) -> float:
-        """Delay that the device declares, 0 if unknown. For any thread."""
-        seen = self._seen
-        return seen.felt_s if seen else 0.0
-
-    @property
     def warnings(self) -> list[str]:
         """Why stored or declared delays are not used, one line each."""
         declared = "" if self._config.live.offset_s is not None else self._declared.warning

@@ -17,7 +17,6 @@ from audioflinger_hook.daemon.run_config import Change, RunConfig, changes_betwe
 from audioflinger_hook.service.state import StateKeeper
 from device.errors import UsageError
 from device.stream import AudioPriority, PcmConfig
-from device.stream.pcms import Pcm
 
 
 class Endpoints:
@@ -43,16 +42,11 @@ class Endpoints:
         if not config.tap_is_live:
             self.input = self._make_input(config)
         if is_live:
-            self._pcms = PcmConfig("cushion_tap", "cushion_output", "cushion_trial")
+            self._pcms = PcmConfig("cushion_tap", "cushion_output")
         if config.tap_is_live:
             self.input = self._make_input(config)
         if config.device_is_live:
             self.output = self._make_output(config)
-
-    @property
-    def trial_pcm(self) -> Pcm | None:
-        """The PCM that plays trials; None without a live tap or device."""
-        return self._pcms.pcms["cushion_trial"] if self._pcms else None
 
     def check_change(self, old: RunConfig, new: RunConfig) -> None:
         """Raise UsageError if a running daemon cannot change from config `old` to `new`."""

@@ -24,10 +24,11 @@ def parts_of_native(native: NativeEngine, chain: Chain) -> dict[str, float]:
     """
     plan, page = chain.plan, chain.page
     latency_frames = max((rig.latency_frames for rig in chain.design.rigs if rig), default=0)
+    transform_frames = 0 if plan.is_trial else plan.transform.latency_frames
     # If the sink drives the graph, its monitor provides sound one cycle late.
     is_late = native.monitor_reason and page.samplerate and not plan.is_trial
     return {
         "tap_ms": 1e3 * page.cycle_frames / page.samplerate if is_late else 0.0,
-        "transform_ms": 1e3 * plan.latency_frames / plan.samplerate,
+        "transform_ms": 1e3 * transform_frames / plan.samplerate,
         "driving_ms": 1e3 * latency_frames / plan.samplerate,
     }

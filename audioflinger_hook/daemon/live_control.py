@@ -9,7 +9,7 @@ value wins. Values are checked like values of the config file. A request has one
     "tone": {"hz": 60, "level": 0.2}           start the test tone; null stops the tone
     "sync": {"try_ms": 120}                    play an offset on trial; null ends the trial
     "sync": {"store_ms": 120}                  store an offset for the present pair of sinks
-    "trial": {"who": "1"}                      play trials; see `daemon/trials.py`
+    "trial": true                              tell what `daemon/trials.py` returns
     "undo": true                               undo the last change of the config
     "save": true                               write the changes to the config file
 
@@ -33,6 +33,7 @@ from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.status_report import frame_of
 from audioflinger_hook.daemon.supervisor import Supervisor
+from audioflinger_hook.daemon.trials import trial_figures
 from audioflinger_hook.service.install import own_command
 from audioflinger_hook.service.one_line import one_line
 from audioflinger_hook.service.request_queue import RequestQueue
@@ -94,11 +95,8 @@ class LiveControl:
             done.set()
 
         asked = {name: value for name, value in request.items() if name not in ENVELOPE}
-        if asked.keys() == {"trial"} and isinstance(asked["trial"], dict):
-            try:  # in this thread, as a lease must not wait for another request
-                return self._supervisor.trials.ask(asked["trial"])
-            except CushionError as error:
-                return {"error": one_line(str(error), 400)}
+        if "trial" in asked:
+            return trial_figures(self._supervisor)
         if self._waiting.put(asked, answer):  # else the main thread has been woken
             self._ring()
         if not done.wait(ANSWER_S):

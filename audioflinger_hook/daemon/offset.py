@@ -105,16 +105,15 @@ class Offset:
                 self._trial_s = self._trial_ends_s = None
         self._find()
 
-    def lead_s(self, own_s: float, transform_s: float) -> float:
-        """Return how much later its vibration than its sound must begin in a stream of both.
+    def of_trial(self, own_s: float, transform_s: float) -> tuple[float, float]:
+        """Return how much later vibration than sound begins in a stream of both, and is felt.
 
-        This is the part of the delay that `vibration_s` does not contain; it may be negative.
         own_s: latency of the vibration after the stream. transform_s: latency of the transform,
         which the stream avoids; a number in the config takes it for granted.
         """
-        set_s = self._live.offset_s
-        wanted_s = self._delay_s - own_s if set_s is None else set_s + transform_s
-        return wanted_s - self.vibration_s
+        set_s, later_s = self._live.offset_s, own_s + self.vibration_s
+        wanted_s = self._delay_s if set_s is None else set_s + transform_s + own_s
+        return wanted_s - later_s, later_s + self._declared.felt_s
 
     def _find(self) -> None:
         """Find how far the vibration is behind its sound, apart from the offset."""

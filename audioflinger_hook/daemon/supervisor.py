@@ -23,7 +23,6 @@ from audioflinger_hook.daemon.run_config import Change, RunConfig, changes_betwe
 from audioflinger_hook.daemon.safety_keeper import SafetyKeeper
 from audioflinger_hook.daemon.server_link import DropInControl, ServerLink
 from audioflinger_hook.daemon.timing import IdlePolicy, StallDetector, Wake
-from audioflinger_hook.daemon.trials import Trials
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from audioflinger_hook.service.status import Application
 from device.errors import CushionError, LostError, NotFoundError, UsageError
@@ -49,8 +48,7 @@ class Supervisor:
     safety: stores the coil temperatures and vibration doses for the next process.
     offsets: stores the delays that users have measured; None forgets them at the end.
     config, user_config: with and without the [[application]] rule that acts.
-    alignment: finds the offset. trials: plays trials of studies.
-    config_error: why the latest config was not applied, or "".
+    alignment: finds the offset. config_error: why the latest config was not applied, or "".
     UsageError, NotFoundError: a file to play or to write cannot be used.
     """
 
@@ -79,10 +77,6 @@ class Supervisor:
         self._idle = IdlePolicy(now_s)
         self.alignment = Alignment(
             config, self.engines, self._drop_in, offsets or OffsetStore(), wake.ring
-        )
-        pcm = self._endpoints.trial_pcm
-        self.trials = Trials(
-            pcm, folder, self.engines, self.alignment, self.states, clocks.now_s, wake.ring
         )
         self._stalls = StallDetector(self.states, clocks.slept_s)
         self._limits = LimitAdvice()
@@ -207,7 +201,6 @@ class Supervisor:
                 if connection is None:
                     return
             snapshot = connection.latest if connection else None
-            self.trials.maintain(connection, *self._found, now_s, muted=self.config.muted)
             device = self._locate_device(snapshot, now_s)
             if device is None:
                 return
@@ -309,7 +302,6 @@ class Supervisor:
     def close(self, now_s: float, *, keep: bool = True) -> None:
         """Stop the daemon. keep: whether to keep an output file. WriteError: writing it failed."""
         self.states.enter(DaemonState.STOPPING, now_s)
-        self.trials.close()
         self.engines.close()
         self._endpoints.close()
         self.alignment.close()
@@ -368,7 +360,6 @@ class Supervisor:
                 self.output.close()
             self.alignment.close()
             self._drop_in.close()
-            self.trials.close()
             self.engines.native.close()
             self._link.close()
         self._found = (None, None)

@@ -6,8 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from audioflinger_hook.fit.curve import REFERENCE_HZ, TEST_HZ, CurvePosterior
-from audioflinger_hook.trials import session
-from audioflinger_hook.trials.record import Rows
+from audioflinger_hook.trials.record import Rows, run
 
 TRIALS_MOST, TRIALS_A_MINUTE = 60, 20
 ENOUGH_DB = 1.0  # the fit ends when no frequency is less certain than this
@@ -66,7 +65,7 @@ class FitSession:
 
         WriteError: the disk is full. All errors of the sitter pass through.
         """
-        return session.run(self.record, self, self._sitter.answer)
+        return run(self.record, self, self._sitter.answer)
 
     def next_trial(self) -> tuple[Trial, Trial] | None:
         """Return the trial to play next, twice; None if the fit is over."""

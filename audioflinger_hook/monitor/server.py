@@ -67,24 +67,19 @@ SECURITY = {
 }
 
 
-class TrialPage(Protocol):
-    """Asks a person on the page `/trial`. The event loop's thread calls the methods.
+class Link(Protocol):
+    """Answers the requests of browsers, such as `DaemonLink`."""
 
-    joined, left: a page has connected or gone. take: takes what it says, returns what it is told.
-    """
+    async def run(self) -> None: ...  # noqa: D102
 
-    def joined(self) -> None: ...  # noqa: D102
-
-    def left(self) -> None: ...  # noqa: D102
-
-    def take(self, said: object) -> dict[str, Any]: ...  # noqa: D102
+    async def control(self, request: Mapping[str, Any]) -> dict[str, Any]: ...  # noqa: D102
 
 
 class PageServer:
     """Serves the page until `run` is cancelled. Only the event loop's thread may use it.
 
-    folder: has the key and the codes. clock: gives the time of day.
-    trial: asks questions on the page `/trial`; None for the live page.
+    folder: has the key and the codes. clock: gives the time of day. link: answers browsers, None
+    for the daemon. clients: the browsers.
     pending: connections that have not shown the key, the oldest first.
     """
 
@@ -95,22 +90,18 @@ class PageServer:
         rate_hz: float,
         clock: Callable[[], float],
         environ: Mapping[str, str],
-        trial: TrialPage | None = None,
+        link: Link | None = None,
     ) -> None:
-        self._trial = trial
+        self._other_link = link
         self._listen, self._folder, self._key = listen, folder, load_key(folder)
         self._rate_hz, self._clock, self._environ = rate_hz, clock, environ
-        self._clients = Clients()
+        self.clients = Clients()
         self.pending: dict[_Connection, None] = {}
         self._read_s = 0.0  # time at which the messages so far are read at MESSAGES_PER_S
         static = files("audioflinger_hook.monitor").joinpath("static")
         self._files = {
             path: (static.joinpath(name).read_bytes(), kind) for path, (name, kind) in FILES.items()
         }
-
-    def show_trial(self, screen: dict[str, Any]) -> None:
-        """Show a screen of a trial on all pages, and on pages that connect later."""
-        self._clients.tell("trial", screen)
 
     async def run(self, on_ready: Callable[[Listen], None]) -> None:
         """Serve the page; call `on_ready` with its address.
@@ -121,9 +112,10 @@ class PageServer:
         listen = Listen(self._listen.host, bound.getsockname()[1])
         self._access = Access(listen, self._key, self._folder)
         frames = Frames(
-            self._clients.tell, self._rate_hz, lambda: len(self._clients) > 0, self._environ
+            self.clients.tell, self._rate_hz, lambda: len(self.clients) > 0, self._environ
         )
-        self._link = DaemonLink(frames.take, self._rate_hz, listen.url, self._environ)
+        daemon = DaemonLink(frames.take, self._rate_hz, listen.url, self._environ)
+        self._link: Link = self._other_link or daemon
         logger = logging.getLogger("audioflinger_hook.monitor")
         logger.addHandler(logging.NullHandler())
         logger.propagate = False  # do not let an attacker fill the system's journal
@@ -144,8 +136,6 @@ class PageServer:
             logger=logger,
         ):
             on_ready(listen)
-            if self._trial is not None:
-                await asyncio.get_running_loop().create_future()
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._link.run())
                 tasks.create_task(frames.run())
@@ -171,7 +161,7 @@ class PageServer:
             return _response(HTTPStatus.OK, *self._files[path])
         if path == "/metrics":
             if access.has_bearer(headers.get_all("Authorization")):
-                return _response(HTTPStatus.OK, metrics_text(self._clients), CONTENT_TYPE_LATEST)
+                return _response(HTTPStatus.OK, metrics_text(self.clients), CONTENT_TYPE_LATEST)
             needed = "the key is missing or wrong; send the key of the file page.token as a bearer"
             return _text(HTTPStatus.FORBIDDEN, needed)
         if any(sign in path for sign in ("..", "%", "\\", "//")):
@@ -184,9 +174,7 @@ class PageServer:
             return
         assert isinstance(connection, _Connection)
         self.pending.pop(connection, None)
-        client = self._clients.add()
-        if self._trial is not None:
-            self._trial.joined()
+        client = self.clients.add()
         client.answer(json.dumps({"key": self._access.key}))
         sending = asyncio.ensure_future(client.send_all(connection.send))
         asking = asyncio.ensure_future(self._carry_out(client))
@@ -203,9 +191,7 @@ class PageServer:
         except ConnectionClosed:
             pass
         finally:
-            self._clients.remove(client)
-            if self._trial is not None:
-                self._trial.left()
+            self.clients.remove(client)
             sending.cancel()
             with suppress(asyncio.CancelledError, ConnectionClosed):
                 await sending
@@ -222,7 +208,7 @@ class PageServer:
                 shown = _document(await connection.recv())
         if shown is None:
             return 1008, "this message is refused"
-        if len(self._clients) >= CLIENTS_MAX:
+        if len(self.clients) >= CLIENTS_MAX:
             return 1013, f"{CLIENTS_MAX} pages are open already; close one of them"
         if not self._access.admits(shown.get("key"), shown.get("code"), self._clock()):
             return 1008, self._access.advice
@@ -232,9 +218,7 @@ class PageServer:
         """Carry out the waiting requests of a browser."""
         while waiting := client.requests.take():
             request, answer_by = waiting
-            if self._trial is not None:
-                answer = self._trial.take(request)
-            elif request.keys() == {"autostart"}:
+            if request.keys() == {"autostart"}:
                 answer = await asyncio.to_thread(self._start_at_login, request["autostart"])
             else:
                 if isinstance(sync := request.get("sync"), dict):

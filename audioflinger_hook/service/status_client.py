@@ -37,22 +37,17 @@ def ask_status(
         raise InternalError(f"{missing}; restart it with this version") from error
 
 
-def ask_control(
-    request: Mapping[str, Any],
-    timeout_s: float,
-    clock: Callable[[], float],
-    environ: Mapping[str, str] = os.environ,
-) -> dict[str, Any]:
-    """Let this user's daemon carry out a request that `daemon/live_control.py` lists.
+def ask_control(request: Mapping[str, Any], timeout_s: float, clock: Callable[[], float]) -> Any:
+    """Let this user's daemon carry out a request of the form that `daemon/live_control.py` lists.
 
     Return the answer. UsageError: the daemon refuses the request. Other errors and arguments: as
     for `ask_status`.
     """
     asked = {**request, "ask": "control", "protocol": PROTOCOL}
-    if refused := _error_in(line := _answer(asked, timeout_s, clock, environ)):
+    line = _answer(asked, timeout_s, clock, os.environ)
+    if refused := _error_in(line):
         raise UsageError(f"the daemon refuses the request: {refused}")
-    found: dict[str, Any] = json.loads(line)
-    return found
+    return json.loads(line)
 
 
 def _answer(

@@ -13,8 +13,7 @@ from audioflinger_hook.study.paradigms import chances, measure
 from audioflinger_hook.study.stimuli import Stimuli
 from audioflinger_hook.study.trials import Script
 from audioflinger_hook.trials.player import Played
-from audioflinger_hook.trials.record import Rows
-from audioflinger_hook.trials.session import run
+from audioflinger_hook.trials.record import Rows, run
 from audioflinger_hook.trials.simulated import drawn, people_file, with_lapses
 from device.errors import UsageError
 from device.units import FloatArray

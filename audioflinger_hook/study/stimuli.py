@@ -20,10 +20,10 @@ from scipy.signal import sosfilt
 
 from audioflinger_hook.baselines import BASELINES
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.daemon.trial_sound import RATE_HZ
 from audioflinger_hook.offline.render import render_file
 from audioflinger_hook.study.design import GAP_S, NONE, Design
 from audioflinger_hook.trials.player import Played, mixed
+from audioflinger_hook.trials.stream import RATE_HZ
 from device.drive.exposure import wk_sections
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray, amplitude_to_db, db_to_amplitude

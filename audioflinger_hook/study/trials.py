@@ -62,7 +62,7 @@ def balanced(question: Question, participant: int) -> list[dict[str, Any]]:
 
 
 class Script:
-    """Chooses the trials of a participant, by number: a `Script` of `trials.session`."""
+    """Chooses the trials of a participant, by number: a `Script` of `trials.record`."""
 
     def __init__(self, design: Design, number: int) -> None:
         self._design, self._left = design, session(design, number)[::-1]

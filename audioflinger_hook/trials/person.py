@@ -32,8 +32,7 @@ class TerminalAnswers:
         keys = ", ".join(f"{key} {label.lower()}" for _, label, key in rows)
         while self._keys(0.0):  # pressed before the question
             pass
-        told = *shown["text"], f"{shown['title']} ({keys})"
-        print(*told, sep="\n", file=sys.stderr, flush=True)
+        print(*shown["text"], f"{shown['title']} ({keys})", sep="\n", file=sys.stderr, flush=True)
         while (pressed := self._keys(60.0).lower()) not in offered:
             pass
         return Answer(offered[pressed])

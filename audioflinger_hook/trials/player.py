@@ -1,34 +1,37 @@
-"""Plays trials: the daemon plays sound and vibration, so that one audio clock has both."""
+"""Plays trials of sound and vibration, and measures them by reports of the daemon."""
 
-import os
 import shlex
 import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import soundfile
+from scipy.integrate import trapezoid
 from scipy.signal import resample_poly
 
 from audioflinger_hook.config.file import names_a_device
-from audioflinger_hook.daemon.trial_sound import COLUMNS, RATE_HZ
 from audioflinger_hook.service.install import own_command
-from audioflinger_hook.service.runtime_folder import RuntimeFolder
-from audioflinger_hook.service.status import Status
+from audioflinger_hook.service.meters import FLOOR_DBFS, RMS_TIME_S
+from audioflinger_hook.service.status import ExposureFigures, Status
 from audioflinger_hook.service.status_client import ask_control, ask_status
+from audioflinger_hook.trials.stream import COLUMNS, RATE_HZ, Trial, TrialStream
 from device.address import parse_device
-from device.errors import CushionError, LostError, NotFoundError, UsageError, WriteError
+from device.errors import LostError, NotFoundError, UsageError
 from device.process import started
-from device.units import Float32Array
+from device.stream.pcms import PcmConfig
+from device.stream.portaudio import filter_stderr
+from device.units import Float32Array, amplitude_to_db, db_to_amplitude
 
+PCM = "cushion_trials"
 ANSWER_S = 5.0  # longest wait for an answer of the daemon
-POLL_S, RENEW_S = 0.03, 0.2  # between two questions while a trial plays, and between trials
-ASK_S = 0.1  # between two questions whether the daemon is ready
+POLL_S, ASK_S = 0.03, 0.1  # between two looks during a trial, and before one
 BEGINS_S = 20.0  # longest time until a daemon plays trials
-FADED_S = 0.3  # from the end of a trial to the end of its daemon, for the fade
+FADES_S = 0.5  # from a stop to the end of the fade
+AFTER_S = 0.1  # from the last frame at the device to the last look at the levels
 
 Frames = Path | Float32Array | None  # a file, or (frames, channels) at RATE_HZ
 
@@ -39,16 +42,13 @@ class NotPlayedError(LostError):
 
 @dataclass(frozen=True)
 class Played:
-    """What the daemon played. Times are in seconds of the audio clock (CLOCK_MONOTONIC).
+    """What was played. Times are in seconds of the audio clock (CLOCK_MONOTONIC).
 
-    sound_began_s, vibration_began_s: when the first frame is heard and felt; None without it. Both
-    are equal: the daemon aligns them by its offset.
-    seconds: duration that was played. stopped: whether `stop` ended it early, with a fade.
-    level_dbfs: r.m.s. over the duration of the strongest actuator's signal: the vibration as sent
-    to the device, after gain, damping and protection; at least -150.
-    protection_db: largest attenuation by protection that was seen, 0 to 150.
-    a8_m_s2, vdv_m_s175: exposure by this trial alone (see `Exposure`); None without a rig. Of
-    several trials, squares of A(8) and fourth powers of VDV add up.
+    sound_began_s, vibration_began_s: when the first frame is heard and felt; None without it.
+    stopped: whether `stop` ended it early. level_dbfs: r.m.s. of the strongest actuator's signal
+    after gain, damping and protection. protection_db: largest attenuation by protection.
+    a8_m_s2, vdv_m_s175: exposure by this trial alone; None without a rig. Of several trials,
+    squares of A(8) and fourth powers of VDV add up.
     """
 
     sound_began_s: float | None
@@ -64,93 +64,130 @@ class Played:
 class DaemonPlayer:
     """Plays one trial at a time through the user's daemon. Until `close`, no other sound is felt.
 
-    clock: returns seconds. why_not: why the daemon could not play a trial when it was last asked,
-    or "". Errors of all methods: NotFoundError: no daemon runs. UsageError: another program plays
-    trials. InternalError: the daemon does not answer. LostError: `close` was called.
+    clock: returns time.monotonic(). why_not: why no trial could be played at the last look, or "".
+    Errors of `status`, `play` and `wait`: NotFoundError: no daemon runs. UsageError: another
+    program plays trials. InternalError: the daemon does not answer. LostError: `close` was called.
     """
 
-    def __init__(self, clock: Callable[[], float], environ: Mapping[str, str] = os.environ) -> None:
-        self._clock, self._environ, self.why_not = clock, environ, ""
-        self._who, self._closing = f"{os.getpid()}-{id(self):x}", threading.Event()
-        self._renewing = threading.Thread(target=self._renew, name="trial-lease", daemon=True)
-        self._renewing.start()
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock, self.why_not = clock, ""
+        self._pcms = PcmConfig(PCM)
+        self._stream: TrialStream | None = None
+        self._trial: Trial | None = None
+        self._playing, self._closed = threading.Lock(), threading.Event()
 
     def status(self) -> Status:
         """Return the daemon's status."""
-        return ask_status(ANSWER_S, self._clock, self._environ)
+        return ask_status(ANSWER_S, self._clock)
 
     def play(self, sound: Frames, vibration: Frames) -> Played:
         """Play both from their first frames on; return after the end.
 
         sound: for the default output, 1 or 2 channels. vibration: 1 channel, in shares of full
-        scale before the config's gain. Both get raised-cosine ends of 50 ms, and take at most
-        120 s. NotPlayedError: the device or the server was lost, or is not ready: the trial counts
-        as not played. UsageError: a file cannot be played.
+        scale before the config's gain. Both get raised-cosine ends of 50 ms. NotPlayedError: the
+        device or the server was lost, or is not ready: the trial counts as not played. UsageError:
+        a file cannot be played.
         """
-        with RuntimeFolder(self._environ, create=False) as folder:
-            file = folder.path / f"trial-{self._who}.npy"
         frames = mixed(sound, vibration)
-        try:
-            np.save(file, frames)
-            played = self._ask(play=file.name)
-            while played is None:
-                self._closing.wait(POLL_S)
-                played = self._ask()
-        except OSError as error:
-            raise WriteError(f"cannot write {file}: {error.strerror}") from error
-        finally:
-            file.unlink(missing_ok=True)
-        if "lost" in played:
-            raise NotPlayedError(f"the trial was not played: {played['lost']}")
-        began_s = played.pop("began_s")
-        heard_s, felt_s = (None if one is None else began_s for one in (sound, vibration))
-        return Played(heard_s, felt_s, **played)
+        with self._playing:
+            readings, before, lost = [self._look()], self.status().exposure, self.why_not
+            lead_s, later_s = (readings[0].get(name, 0.0) for name in ("lead_s", "felt_s"))
+            trial = self._trial = Trial(frames, lead_s)
+            if self._stream is not None and not lost:
+                self._stream.play(trial)
+            try:
+                while not lost and self._clock() < trial.ends_s + later_s + AFTER_S:
+                    self._closed.wait(POLL_S)
+                    readings.append(self._look())
+                    lost = self.why_not
+                stopped = trial.stops
+            finally:
+                trial.stops = True
+            if lost:
+                self._closed.wait(FADES_S)
+                raise NotPlayedError(f"the trial was not played: {lost}")
+            seconds = trial.played / RATE_HZ - abs(lead_s)
+            began_s = trial.began_s + max(0.0, lead_s) + later_s
+            heard_s, felt_s = (None if one is None else began_s for one in (sound, vibration))
+            levels, exposure = measured(readings, seconds), exposed(before, self.status().exposure)
+            return Played(heard_s, felt_s, seconds, stopped, *levels, *exposure)
 
     def stop(self) -> None:
         """End the trial that plays with a fade of 50 ms. Any thread; without a trial, nothing."""
-        with suppress(CushionError):
-            self._ask(stop=True)
+        if self._trial is not None:
+            self._trial.stops = True
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until a daemon can play a trial; return whether it can. `why_not` says why not."""
+        """Wait until a trial can be played; return whether it can. `why_not` says why not."""
         for _ in range(1 + round(timeout_s / ASK_S)):
             try:
-                self._ask()
+                self._look()
             except NotFoundError as error:
                 self.why_not = str(error)
             if not self.why_not:
                 return True
-            self._closing.wait(ASK_S)
+            self._closed.wait(ASK_S)
         return False
 
     def close(self) -> None:
-        """End the trial that plays; tapped sound is felt again. May be repeated."""
-        self._closing.set()
-        self._renewing.join()
-        with suppress(CushionError):
-            self._ask(end=True)
+        """End the trial that plays with a fade; tapped sound is felt again. May be repeated."""
+        self._closed.set()
+        self.stop()
+        with self._playing:
+            if self._trial is not None and self._clock() < self._trial.ends_s:
+                threading.Event().wait(FADES_S)
+            self._end_stream()
+        self._pcms.close()
 
-    def _renew(self) -> None:
-        while not self._closing.wait(RENEW_S):
-            with suppress(CushionError):
-                self._ask()
-
-    def _ask(self, **more: Any) -> dict[str, Any] | None:
-        """Renew the lease; return what was played, None before the end of a trial."""
-        if self._closing.is_set() and "end" not in more:
+    def _look(self) -> dict[str, Any]:
+        """Return what the daemon says of trials; find `why_not`. Open or renew the stream."""
+        if self._closed.is_set():
             raise LostError("the session of trials has ended")
-        asked = {"trial": {"who": self._who, **more}}
-        answer = ask_control(asked, ANSWER_S, self._clock, self._environ)
-        self.why_not = str(answer["why"])
-        played: dict[str, Any] | None = answer["played"]
-        return played
+        found: dict[str, Any] = ask_control({"trial": True}, ANSWER_S, self._clock)
+        self.why_not = found["why"]
+        try:
+            if self._stream is None and not self.why_not:
+                self._stream = TrialStream(self._pcms.pcms[PCM], self.status().device.name)
+            if self._stream is not None:
+                self.why_not = self.why_not or self._stream.why_not(self._clock())
+            if not found["ready"]:
+                self.why_not = self.why_not or "the daemon prepares trials"
+        except (LostError, NotFoundError) as error:
+            self._end_stream()
+            self.why_not = str(error)
+        return found
+
+    def _end_stream(self) -> None:
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            stream.close()
+
+
+def measured(readings: Sequence[Mapping[str, Any]], seconds: float) -> tuple[float, float]:
+    """Return the level of a trial in dBFS, and the attenuation by protection in dB.
+
+    readings: what the daemon said from the beginning to the end. seconds: duration of the trial.
+    """
+    times_s, squares, gains = (
+        np.array([one[name] for one in readings]) for name in ("seconds", "mean_squares", "gain")
+    )
+    # the mean square of the input, as the readings follow it with a time constant
+    energies_s = trapezoid(squares, times_s, axis=0) + RMS_TIME_S * (squares[-1] - squares[0])
+    level = np.sqrt(max(0.0, energies_s.max()) / max(seconds, 1.0 / RATE_HZ))
+    least = db_to_amplitude(FLOOR_DBFS)
+    return amplitude_to_db(max(level, least)), abs(amplitude_to_db(max(gains.min(), least)))
+
+
+def exposed(before: ExposureFigures | None, now: ExposureFigures | None) -> list[float | None]:
+    """Return A(8) and VDV between two readings of the day's exposure; None without a rig."""
+    if before is None or now is None:
+        return [None, None]
+    both = (before.a8_m_s2, now.a8_m_s2, 2), (before.vdv, now.vdv, 4)
+    return [max(0.0, after**power - then**power) ** (1.0 / power) for then, after, power in both]
 
 
 def mixed(sound: Frames, vibration: Frames) -> Float32Array:
-    """Return a trial's frames for the daemon, (frames, COLUMNS) at RATE_HZ; the shorter one ends.
-
-    UsageError: a file cannot be played.
-    """
+    """Return (frames, COLUMNS) of a trial at RATE_HZ. UsageError: a file cannot be played."""
     parts = []
     for source, most in ((sound, COLUMNS - 1), (vibration, 1)):
         frames = np.zeros((0, most), np.float32)
@@ -172,20 +209,17 @@ def mixed(sound: Frames, vibration: Frames) -> Float32Array:
 
 
 @contextmanager
-def opened(
-    device: str, clock: Callable[[], float], environ: Mapping[str, str] = os.environ
-) -> Iterator[DaemonPlayer]:
-    """Yield a player of the daemon that plays to a device, once it plays trials.
+def opened(device: str, clock: Callable[[], float]) -> Iterator[DaemonPlayer]:
+    """Yield a player once it plays trials to a device, "" for the daemon's or the config's.
 
-    If no daemon runs, one is started, which ends with the block. device: its address, "" for the
-    daemon's or the config's. clock: returns seconds. UsageError: no device is named, or the daemon
-    plays to another. LostError: the daemon plays no trials.
+    If no daemon runs, one is started, which ends with the block. UsageError: no device is named, or
+    the daemon plays to another. LostError: the daemon plays no trials.
     """
     wanted = str(parse_device(device)) if device else ""
     command = [*own_command(), "run", *(["--device", wanted] if wanted else [])]
     with ExitStack() as stack:
         try:
-            ask_status(ANSWER_S, clock, environ)
+            ask_status(ANSWER_S, clock)
         except NotFoundError:
             if not wanted and not names_a_device():
                 raise UsageError(
@@ -195,8 +229,8 @@ def opened(
             child = started(command)
             stack.callback(child.wait)
             stack.callback(child.terminate)
-            stack.callback(threading.Event().wait, FADED_S)
-        player = stack.enter_context(closing(DaemonPlayer(clock, environ)))
+        filter_stderr()
+        player = stack.enter_context(closing(DaemonPlayer(clock)))
         if not player.wait(BEGINS_S):
             told = f"the daemon plays no trials: {player.why_not}"
             raise LostError(f"{told}; see what `{shlex.join(command)}` says")

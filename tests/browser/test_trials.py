@@ -47,11 +47,10 @@ class Study:
 
     def __init__(self, server: SoundServer, chromium: Any) -> None:
         self.server, self._chromium = server, chromium
-        self.player = DaemonPlayer(time.monotonic, server.environment)
+        self.player = DaemonPlayer(time.monotonic)
         self.errors: list[str] = []
         told: queue.SimpleQueue[str] = queue.SimpleQueue()
-        environ = server.environment
-        self.answers = PageAnswers(self.player.stop, told.put, time.time, environ=environ)
+        self.answers = PageAnswers(self.player.stop, told.put, time.time)
         self.person = Person(self.player, self.answers)
         self._context = chromium.new_context()
         self.address = partial(told.get, timeout=10.0)
@@ -82,7 +81,11 @@ def server() -> Iterator[SoundServer]:
         tempfile.TemporaryDirectory(prefix="cushion-") as folder,
         SoundServer("pipewire", Path(folder)) as made,
         running(made, engine="native"),
+        pytest.MonkeyPatch.context() as patch,
     ):
+        for name in ("XDG_RUNTIME_DIR", "PULSE_SERVER", "PULSE_COOKIE", "PIPEWIRE_RUNTIME_DIR"):
+            if name in made.environment:
+                patch.setenv(name, made.environment[name])
         yield made
 
 

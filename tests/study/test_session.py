@@ -14,8 +14,7 @@ from audioflinger_hook.study.session import Participant
 from audioflinger_hook.study.stimuli import Stimuli
 from audioflinger_hook.study.trials import Script
 from audioflinger_hook.trials.player import NotPlayedError
-from audioflinger_hook.trials.record import TrialRecord
-from audioflinger_hook.trials.session import run
+from audioflinger_hook.trials.record import TrialRecord, run
 from device.errors import WriteError
 from tests.support.commands import call, start
 from tests.support.studies import QUESTIONS, TRUTHS, make_study

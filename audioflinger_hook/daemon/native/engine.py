@@ -33,8 +33,6 @@ class NativeEngine:
     monitor_reason: why the sink's monitor is tapped instead of the streams, or "".
     audible: whether a linked chain plays. is_fed: whether a tapped stream plays.
     waits_for: why the engine cannot play yet, or "". NotFoundError: a PipeWire program is missing.
-    trial: where trials play instead of the tap, or None; any thread may set it.
-    plays_trials: whether a trial is heard and felt if it is played now.
     """
 
     def __init__(
@@ -60,8 +58,7 @@ class NativeEngine:
         self._refused_until_s, self._refused_wait_s = -math.inf, REFUSED_WAIT_S
         self._session_manager: int | None = None
         self.waits_for = ""
-        self.audible = self.is_fed = self.plays_trials = False
-        self.trial: taps.TrialEnds | None = None
+        self.audible = self.is_fed = False
 
     @property
     def chain(self) -> Chain | None:
@@ -75,6 +72,12 @@ class NativeEngine:
         chains, chain = self.chains, self.chain
         changes = chain is None or chain.is_changing
         return self.audible and not changes and chains.following is None and not chains.leaving
+
+    @property
+    def plays_trials(self) -> bool:
+        """Whether a program plays trials, which replace the tap."""
+        with self.watch.lock:
+            return self.watch.graph.sink(taps.TRIALS) is not None
 
     def unseen(self, tap: taps.Tap, device: Sink) -> str:
         """Return why tap or device cannot be linked, "" if both can be linked."""
@@ -106,8 +109,8 @@ class NativeEngine:
             is_moved = before and before.sink and tap.sink and before.sink != tap.sink
             if is_moved and self._config.tap.kind == "default":
                 self._states.count(Cause.DEFAULT_CHANGED, f"the tap is now: {tap.name}")
-        trial = self.trial
-        tap = trial.tap(tap.channels) if trial else tap
+        if self.plays_trials:
+            tap = taps.Tap("trials", (taps.FELT,) * tap.channels, taps.TRIALS, is_trial=True)
         if self.watch.lost:
             raise LostError("the connection to PipeWire's graph was lost")
         with self.watch.lock:
@@ -124,16 +127,11 @@ class NativeEngine:
             chains.make(ChainPlan.of(self._config.settings, tap, chains.samplerate(graph)), now_s)
             self._wire(tap, device, now_s)
             self._note_links(now_s)
-            heard = trial.links(graph) if trial else set()
-            if trial is None:
+            if not tap.is_trial:
                 self._choose_way(now_s)
-            is_heard = bool(heard) and not self.watch.keeper.missing(heard)
         chains.adopt(now_s)
         self.audible = chains.let_play(now_s)
         self._has_played |= self.audible
-        chain = self.chain
-        is_chosen = chain is not None and chain.design.plan.is_trial
-        self.plays_trials = is_heard and is_chosen and self.is_steady
         if chains.current is not None:
             chains.current.look_for_priority(now_s)
         names = [name for chain in self._wiring.chains for name in (chain.tap, chain.vibration)]
@@ -150,7 +148,7 @@ class NativeEngine:
         self.designs.end()
         for running in self.chains.running:
             running.linked_s = math.inf
-        self.audible = self.plays_trials = False
+        self.audible = False
         with self.watch.lock:
             self._has_session(now_s)
             self.chains.end_leaving(self.watch.graph, now_s)
@@ -207,7 +205,6 @@ class NativeEngine:
             device_positions=taps.port_names(device.channel_map, device.channels) if device else (),
             by_monitor=bool(self.monitor_reason or (tap and tap.is_trial)),
             silence=f"{NAME}-{os.getpid()}-silence",
-            trial=self.trial,
         )
         self.watch.keeper.wiring = self._wiring
         self.watch.keeper.update(now_s)

@@ -74,11 +74,6 @@ class ChainPlan:
         return LiveDesign.of(self.parameters, self.samplerate)
 
     @property
-    def latency_frames(self) -> int:
-        """Latency of the transform for onsets; 0 without a transform."""
-        return 0 if self.is_trial else self.transform.latency_frames
-
-    @property
     def columns(self) -> int:
         """Number of actuators for each entry of `drives`."""
         return len(self.actuators) // len(self.drives)

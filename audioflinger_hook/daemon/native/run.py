@@ -9,7 +9,7 @@ from audioflinger_hook.daemon.inputs.base import NOTHING, AudioNode
 from audioflinger_hook.daemon.native.chains import Restore
 from audioflinger_hook.daemon.native.engine import NativeEngine
 from audioflinger_hook.daemon.native.plan import DriveDesigns
-from audioflinger_hook.daemon.native.taps import TrialEnds, tap_of
+from audioflinger_hook.daemon.native.taps import tap_of
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import QUIET_S
@@ -45,7 +45,6 @@ class NativeRun:
         self._played_s, self._offset_s = -QUIET_S, 0.0
         self._volume_of: tuple[PulseConnection, int] | None = None
         self._has_monitor = True
-        self._trial: TrialEnds | None = None
         self.engine: NativeEngine | None = None
         self.begin()
 
@@ -70,12 +69,6 @@ class NativeRun:
         if self.engine is not None:
             self.engine.chains.set_offset(offset_s)
 
-    def set_trial(self, trial: TrialEnds | None) -> None:
-        """Set where trials play instead of the tap; None for the tap."""
-        self._trial = trial
-        if self.engine is not None:
-            self.engine.trial = trial
-
     def maintain(
         self,
         source: AudioNode,
@@ -93,7 +86,7 @@ class NativeRun:
         try:
             engine = self._opened()
             self._set_volume(device, connection, volume)
-            gain = 1.0 if self._trial else sound_gains[bool(engine.monitor_reason)]
+            gain = 1.0 if engine.plays_trials else sound_gains[bool(engine.monitor_reason)]
             engine.chains.set_sound_gain(gain)
             plays = engine.maintain(source, device, now_s)
         except CushionError as error:
@@ -143,7 +136,6 @@ class NativeRun:
                 monitor_reason=self._monitor_reason,
             )
             self.engine.chains.set_offset(self._offset_s)
-            self.engine.trial = self._trial
         return self.engine
 
     def _set_volume(self, device: Sink, connection: PulseConnection, volume: DeviceVolume) -> None:

@@ -19,6 +19,9 @@ from device.server.snapshot import Source, Stream
 # Prefixes of port names.
 OUT, IN, PLAYBACK, MONITOR = "output_", "input_", "playback_", "monitor_"
 
+# The sink of a program that plays trials, whose rear channel is the vibration.
+TRIALS, FELT = "cushion-trials", "RL"
+
 _REAR = {"BL": "RL", "BR": "RR", "BC": "RC"}  # PipeWire's names of Android's rear positions
 _SIDE = {"BL": "SL", "BR": "SR", "BC": "RC"}  # if surround channels exist only at the sides
 
@@ -166,46 +169,6 @@ SILENT_NODE = (  # without a media class, so that no program plays to it
 )
 
 
-# Trials play to this sink: sound in the front channels, vibration in the rear channels.
-TRIAL_NODE = (
-    "create-node adapter {{ factory.name=support.null-audio-sink node.name={name} "
-    'node.description="Haptic Cushion (trials)" media.class=Audio/Sink '
-    "audio.position=[FL FR RL RR] priority.session=0 object.linger=false }}"
-)
-HEARD, FELT = ("FL", "FR"), "RL"
-
-
-@dataclass(frozen=True)
-class TrialEnds:
-    """Where trials play. sink: name of our node, to which they play. heard: sink of the sound."""
-
-    sink: str
-    heard: str
-
-    def tap(self, channels: int) -> Tap:
-        """Return a tap of the vibration, with the same vibration in all channels."""
-        return Tap("trials", (FELT,) * channels, self.sink, is_trial=True)
-
-    def links(self, graph: Graph) -> Set[LinkPair]:
-        """Return the links of the sound to the heard sink; empty until all ports exist."""
-        node, sink = graph.sink(self.sink), graph.sink(self.heard)
-        outputs = graph.ports_of(node.id, MONITOR) if node else {}
-        inputs = graph.ports_of(sink.id, PLAYBACK) if sink else {}
-        names = tuple(inputs)
-        return {
-            (outputs[position], inputs[names[index]])
-            for position in HEARD
-            for index in channels_of(position, names)
-            if outputs.keys() >= set(HEARD)
-        }
-
-    def links_from_streams(self, graph: Graph) -> Set[LinkPair]:
-        """Return the links from streams to our node, which the session manager makes."""
-        node = graph.sink(self.sink)
-        links = graph.links_of(node.id) if node else ()
-        return {link.pair for link in links if node and link.input_node_id == node.id}
-
-
 @dataclass(frozen=True)
 class ChainEnds:
     """The nodes of one chain. tap, vibration: names of the nodes.
@@ -236,7 +199,6 @@ class ChainWiring:
     by_monitor: whether the sink's monitor is tapped, instead of streams.
     silence: node that sends zeros to chains that tap streams. A link of this node sets the format
         of a chain's port, so that a new stream is linked faster.
-    trial: where trials play, or None.
     """
 
     chains: tuple[ChainEnds, ...] = ()
@@ -245,27 +207,20 @@ class ChainWiring:
     device_positions: tuple[str, ...] = ()
     by_monitor: bool = False
     silence: str = ""
-    trial: TrialEnds | None = None
 
     def nodes(self, graph: Graph) -> Set[int]:
-        """Return the ids of the chains' nodes, and of the trials' sink."""
-        names = [name for chain in self.chains for name in (chain.tap, chain.vibration)]
-        names += [self.trial.sink] if self.trial else []
+        """Return the ids of the chains' nodes."""
+        names = (name for chain in self.chains for name in (chain.tap, chain.vibration))
         return {node.id for name in names for node in graph.nodes_named(name)}
 
     def made_nodes(self) -> Mapping[str, str]:
-        """Return {node's name: command that creates it}; without chains, no silent node."""
+        """Return {silent node's name: command that creates the node}; empty without chains."""
         used = self.silence and self.chains
-        made = {self.silence: SILENT_NODE.format(name=self.silence)} if used else {}
-        if self.trial:
-            made[self.trial.sink] = TRIAL_NODE.format(name=self.trial.sink)
-        return made
+        return {self.silence: SILENT_NODE.format(name=self.silence)} if used else {}
 
     def links(self, graph: Graph) -> Set[LinkPair]:
         """Return the wanted links of all chains."""
         found: set[LinkPair] = set()
-        if self.trial:
-            found |= self.trial.links(graph) | self.trial.links_from_streams(graph)
         for chain in self.chains:
             if chain.linked:
                 found |= self.tap_links(graph, chain) | self.device_links(graph, chain)
