@@ -153,19 +153,19 @@ class _Reading:
 
     def find_contradictions(self) -> None:
         self.accepted[Settings]["actuators"] = self.arrays[ACTUATOR]
+        chosen = self.accepted[TransformParameters]
+        if chosen.get("strength") == "fit":
+            try:
+                device = self.accepted[LiveSettings].get("device")
+                chosen["fit"] = fits.chosen(chosen.get("fit", ""), device).curve
+            except UsageError as error:
+                self._add("transform.strength", Refusal(f"cannot be used ({error})", "felt, flat"))
+                self.refused.add((TransformParameters, "strength"))
         owners: tuple[type[Described], ...] = (TransformParameters, Settings, LiveSettings)
         for owner in owners:
             for name, refusal in self._contradictions(owner, self.profile).items():
                 section = next(k.section for k in KEYS if (k.owner, k.field) == (owner, name))
                 self._add(f"{section}.{name}" if section else name, refusal)
-        chosen = self.accepted[TransformParameters]
-        name = str(chosen.get("fit", ""))
-        if chosen.get("strength") == "fit" and ":" not in name:
-            try:
-                fits.chosen(name)
-            except UsageError as error:
-                key = "transform.fit" if name else "transform.strength"
-                self._add(key, Refusal(f"needs a fit ({error})", "flat, felt, rig"))
         for number, rule in enumerate(self.arrays[APPLICATION], 1):
             profile = rule.get("profile") or self.profile
             found = self._contradictions(TransformParameters, profile)
