@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 REFERENCE_HZ = 70.0
 TEST_HZ: Floats = np.round(np.geomspace(25.0, 200.0, 8), 1)
 HZ = np.append(TEST_HZ, REFERENCE_HZ)  # of all curves here
+TESTS = slice(TEST_HZ.size)
 
 SMOOTH_DB, SMOOTH_OCTAVES = 8.0, 0.6  # deviation and correlation length of the smooth process
 TILT_DB = 6.0  # deviation of a tilt, dB an octave
@@ -31,7 +32,6 @@ NOISES_DB: Floats = np.array([0.7, 1.0, 1.4, 2.0, 2.8, 4.0])  # of decisions, on
 LAPSES = 0.04  # share of answers that are guessed
 
 OFFSETS_DB: Floats = np.arange(-8.0, 9.0)  # candidate levels, relative to the expected equality
-NEGLIGIBLE = 1e-4  # hypotheses of lower probability do not count in the choice of a trial
 
 
 def resonance_db(hz: Floats, resonance_hz: float, q: float) -> Floats:
@@ -43,8 +43,10 @@ def resonance_db(hz: Floats, resonance_hz: float, q: float) -> Floats:
 class CurvePosterior:
     """What the answers so far say about a person's curve. All levels are in dB.
 
-    evidence: log of the answers' probability, relative to guessing. catch_evidence: the same for
-    the catch trials alone, which compare the reference with itself.
+    curve_db: expected sensitivity at HZ, relative to REFERENCE_HZ. uncertainty_db: its standard
+    deviation. jnd_db: expected standard deviation of the decision noise. evidence: log of the
+    answers' probability, relative to guessing. catch_evidence: the same for the catch trials alone,
+    which compare the reference with itself.
     """
 
     def __init__(self) -> None:
@@ -54,34 +56,23 @@ class CurvePosterior:
         covariance += TILT_DB**2 * np.outer(octaves, octaves)
         body = FELT_SHARE * 20.0 * np.log10(felt_weight(TransformParameters(strength="felt"), HZ))
         rigs = [resonance_db(HZ, peak_hz, q) for peak_hz in RESONANCES_HZ for q in RESONANCE_QS]
-        means = np.array([body, *(body + rig for rig in rigs)])
-        shares = np.append(SMOOTH_SHARE, np.full(len(rigs), (1.0 - SMOOTH_SHARE) / len(rigs)))
+        shares = [SMOOTH_SHARE, *(len(rigs) * [(1.0 - SMOOTH_SHARE) / len(rigs)])]
         relative = np.eye(HZ.size) - (HZ == REFERENCE_HZ)
-        self._means = np.repeat(means @ relative.T, NOISES_DB.size, axis=0)
-        self._log_shares = np.log(np.repeat(shares / NOISES_DB.size, NOISES_DB.size))
+        means = np.array([body, *(body + rig for rig in rigs)]) @ relative.T
+        self._means = np.repeat(means, NOISES_DB.size, axis=0)
+        self._log_shares = np.log(np.repeat(shares, NOISES_DB.size))
         self._noises = np.tile(NOISES_DB, len(means))
-        self._covariances = np.repeat([relative @ covariance @ relative.T], len(self._means), 0)
+        self._covariances = np.array([relative @ covariance @ relative.T] * len(self._means))
         self.evidence = self.catch_evidence = 0.0
+        self._sum_up()
 
-    @property
-    def curve_db(self) -> Floats:
-        """Expected sensitivity at HZ, relative to REFERENCE_HZ."""
-        return np.asarray(self._shares @ self._means)
-
-    @property
-    def uncertainty_db(self) -> Floats:
-        """Standard deviation of `curve_db`."""
-        squares = np.einsum("hii->hi", self._covariances) + self._means**2
-        return np.asarray(np.sqrt(np.maximum(0.0, self._shares @ squares - self.curve_db**2)))
-
-    @property
-    def jnd_db(self) -> float:
-        """Expected standard deviation of the decision noise."""
-        return float(self._shares @ self._noises)
-
-    @property
-    def _shares(self) -> Floats:
-        return np.asarray(softmax(self._log_shares))
+    def _sum_up(self) -> None:
+        self._shares: Floats = softmax(self._log_shares)
+        self._variances: Floats = np.einsum("hii->hi", self._covariances)
+        self.curve_db: Floats = self._shares @ self._means
+        squares = self._shares @ (self._variances + self._means**2) - self.curve_db**2
+        self.uncertainty_db: Floats = np.sqrt(np.maximum(0.0, squares))
+        self.jnd_db = float(self._shares @ self._noises)
 
     def add(self, hz: float, level_db: float, stronger: float) -> None:
         """Take an answer.
@@ -103,6 +94,7 @@ class CurvePosterior:
         second = slope * (yes - no) - density**2 * (yes / chance + no / (1.0 - chance))
         self._means += column * first[:, None]
         self._covariances += column[:, :, None] * column[:, None, :] * second[:, None, None]
+        self._sum_up()
 
     def next_trial(self, most_db: float = np.inf) -> tuple[float, float]:
         """Return the frequency in Hz and the level, in dB relative to the reference, to try next.
@@ -110,20 +102,18 @@ class CurvePosterior:
         After this trial, the curve's variance is expected to be lowest. most_db: highest level that
         can be played.
         """
-        counts = self._shares > NEGLIGIBLE
-        shares = self._shares[counts] / self._shares[counts].sum()
-        tests = slice(TEST_HZ.size)
-        means, covariances = self._means[counts, tests], self._covariances[counts, tests, tests]
-        levels = np.minimum(np.round(-(shares @ means))[:, None] + OFFSETS_DB, most_db)
-        variances = np.einsum("hii->hi", covariances)[:, :, None]
-        noises = self._noises[counts, None, None]
-        chance, density, _ = _chances(means[:, :, None] + levels, variances, noises)
-        moved = np.einsum("h,hix,hji->ixj", shares, density, covariances, optimize=True)
+        levels = np.minimum(np.round(-self.curve_db[TESTS])[:, None] + OFFSETS_DB, most_db)
+        above = self._means[:, TESTS, None] + levels
+        variances, noises = self._variances[:, TESTS, None], self._noises[:, None, None]
+        chance, density, _ = _chances(above, variances, noises)
+        columns = self._covariances[:, TESTS]
+        moved = np.einsum("h,hix,hij->ixj", self._shares, density, columns, optimize=True)
         # The expected square of the mean grows by as much as the expected variance falls.
         squares = np.zeros(levels.shape)
         for sign, answer in ((1.0, chance), (-1.0, 1.0 - chance)):
-            total = np.einsum("h,hix,hj->ixj", shares, answer, means, optimize=True) + sign * moved
-            squares += (total**2).sum(axis=2) / np.einsum("h,hix->ix", shares, answer)
+            weights = self._shares[:, None, None] * answer
+            total = np.einsum("hix,hj->ixj", weights, self._means) + sign * moved
+            squares += (total**2).sum(axis=2) / weights.sum(axis=0)
         index, place = np.unravel_index(int(np.argmax(squares)), squares.shape)
         return float(TEST_HZ[index]), float(levels[index, place])
 
