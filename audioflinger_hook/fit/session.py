@@ -1,8 +1,8 @@
 """The trials of a fit, and who answers them: a person or a simulated one.
 
 A trial has the columns trial (from 0), hz and level_db (of the test; relative to the reference),
-and test_first. A sitter has `answer`, which adds the column answer, and `headroom_db`, the highest
-level of a test in dB relative to the reference.
+and test_first. A sitter has `answer`, which returns the column answer for a trial, and
+`headroom_db`, the highest level of a test in dB relative to the reference.
 """
 
 import math
@@ -15,37 +15,18 @@ from scipy.signal.windows import tukey
 from scipy.special import ndtr
 
 from audioflinger_hook.config.kinds import Curve, curve_text
-from audioflinger_hook.fit.curve import REFERENCE_HZ, CurvePosterior
+from audioflinger_hook.fit import PROTOCOL as P
+from audioflinger_hook.fit.curve import CurvePosterior
 from audioflinger_hook.transform.design.strength import interpolated_db
-from audioflinger_hook.trials.page import AGAIN, UNKNOWN, screen
+from audioflinger_hook.trials.page import screen
 from audioflinger_hook.trials.person import Person
 from audioflinger_hook.trials.player import Played
 from audioflinger_hook.trials.simulated import drawn, with_lapses
 from device.units import Float32Array, db_to_amplitude
 from device.values import Described, Number
 
-TRIALS_MOST = 60
-ENOUGH_DB = 1.0  # the fit ends when no frequency is less certain than this
-BLOCK = 7  # one trial of each block is a catch trial
-CATCH_DB = 12.0  # level difference of a catch trial, whose two frequencies are the same
-CATCHES_LAST = 8  # of the last trials, as many are catch trials as needed to reach SURE
-SURE = 3.0  # evidence of the catch trials, relative to guessing, natural logarithm
-GUESSED = 1.0  # with less evidence, the answers count as guessed
-
-RATE_HZ = 48_000
-TONE_S, EDGE_S, PAUSE_S = 0.6, 0.05, 0.4
-START_DBFS, STEP_DB, MOST_DBFS = -42.0, 3.0, -12.0  # level of the reference, which a person raises
-PEAK_DBFS = -1.0  # of a test
-LIMITED_DB = 0.5  # by more protection, the level is lowered, and the trial played again
-
-STEPS_DB = {"louder": STEP_DB, "softer": -STEP_DB}
-LEVELS = [("louder", "Stronger", "+"), ("softer", "Weaker", "-"), ("good", "Clear", "c")]
-LEVEL = screen("choice", "Is it clear and comfortable?", choices=LEVELS, also=[AGAIN])
-ORDER = [("first", "First", "1"), ("second", "Second", "2")]
-STRONGER = screen("choice", "Which was stronger?", choices=ORDER, also=[AGAIN, UNKNOWN])
-FEEL = screen("playing", "Feel")
-
 Trial = Mapping[str, Any]
+LEVEL, STRONGER, FEEL = (screen(**shown) for shown in (P.level, P.stronger, P.feel))
 
 
 @dataclass(frozen=True)
@@ -60,7 +41,7 @@ class SimulatedSitter(Described):
 
     def answer(self, trial: Trial) -> dict[str, Any]:
         """Answer a trial."""
-        hz = np.array([trial["hz"], REFERENCE_HZ])
+        hz = np.array([trial["hz"], P.reference_hz])
         test_db, reference_db = interpolated_db(curve_text(self.curve_db), hz)
         stronger = ndtr((test_db - reference_db + trial["level_db"]) / self.jnd_db)
         chances = with_lapses(np.array([stronger, 1.0 - stronger]), self.lapse)
@@ -70,46 +51,46 @@ class SimulatedSitter(Described):
 
 
 class FittedPerson:
-    """A person, who raises the level of the reference if `reference_dbfs` is None."""
+    """A person, who first raises the level of the reference if `reference_dbfs` is None."""
 
     def __init__(self, person: Person, reference_dbfs: float | None = None) -> None:
         self._person, said = person, ""
-        self.reference_dbfs = START_DBFS if reference_dbfs is None else reference_dbfs
+        self.reference_dbfs = P.start_dbfs if reference_dbfs is None else reference_dbfs
         while reference_dbfs is None and said != "good":
-            level_db = self.reference_dbfs + STEPS_DB.get(said, 0.0)
-            self.reference_dbfs = min(max(START_DBFS, level_db), MOST_DBFS)
-            self._is_whole(person.play(None, tones((REFERENCE_HZ, self.reference_dbfs)), FEEL))
+            level_db = self.reference_dbfs + P.step_db.get(said, 0.0)
+            self.reference_dbfs = min(max(P.start_dbfs, level_db), P.most_dbfs)
+            self._is_whole(person.play(None, tones((P.reference_hz, self.reference_dbfs)), FEEL))
             said = str(person.answers.ask(LEVEL).value)
 
     @property
     def headroom_db(self) -> float:  # noqa: D102
-        return PEAK_DBFS - self.reference_dbfs
+        return float(P.peak_dbfs - self.reference_dbfs)
 
     def answer(self, trial: Trial) -> dict[str, Any]:
         """Play a trial until it is whole and the person answers; add the reference's level."""
 
         def vibration() -> Float32Array:
             test = trial["hz"], self.reference_dbfs + trial["level_db"]
-            reference = REFERENCE_HZ, self.reference_dbfs
+            reference = P.reference_hz, self.reference_dbfs
             return tones(*((test, reference) if trial["test_first"] else (reference, test)))
 
-        shown = {**STRONGER, "done": trial["trial"], "total": TRIALS_MOST}
+        shown = {**STRONGER, "done": trial["trial"], "total": P.trials}
         _, columns = self._person.answer(lambda: [(None, vibration(), FEEL)], shown, self._is_whole)
         return {**columns, "reference_dbfs": self.reference_dbfs}
 
     def _is_whole(self, played: Played) -> bool:
         """Return whether protection changed nothing; else lower the level."""
-        if played.protection_db <= LIMITED_DB or self.reference_dbfs <= START_DBFS:
+        if played.protection_db <= P.limited_db or self.reference_dbfs <= P.start_dbfs:
             return True
-        self.reference_dbfs = max(START_DBFS, self.reference_dbfs - STEP_DB)
+        self.reference_dbfs = max(P.start_dbfs, self.reference_dbfs - P.step_db["louder"])
         return False
 
 
 def tones(*parts: tuple[float, float]) -> Float32Array:
     """Return vibrations one after the other, (frames, 1) at 48 kHz. parts: Hz and dBFS of each."""
-    time_s = np.arange(round(TONE_S * RATE_HZ)) / RATE_HZ
-    edges = tukey(time_s.size, 2.0 * EDGE_S / TONE_S)
-    pause, edge = (np.zeros(round(s * RATE_HZ)) for s in (PAUSE_S, EDGE_S))
+    time_s = np.arange(round(P.tone_s * P.rate_hz)) / P.rate_hz
+    edges = tukey(time_s.size, 2.0 * P.edge_s / P.tone_s)
+    pause, edge = (np.zeros(round(s * P.rate_hz)) for s in (P.pause_s, P.edge_s))
     waves = [db_to_amplitude(db) * edges * np.sin(math.tau * hz * time_s) for hz, db in parts]
     between = [piece for wave in waves for piece in (wave, pause)][:-1]
     # the player fades the first and last 50 ms
@@ -119,44 +100,43 @@ def tones(*parts: tuple[float, float]) -> Float32Array:
 class FitSession:
     """One fit; implements `Script`. `posterior` is what its answers say.
 
-    seed: of orders and catch trials. most: number of trials that is allowed, up to TRIALS_MOST.
+    seed: of orders and catch trials. most: largest number of trials, up to the protocol's.
     """
 
     def __init__(
-        self, sitter: SimulatedSitter | FittedPerson, seed: int, most: int = TRIALS_MOST
+        self, sitter: SimulatedSitter | FittedPerson, seed: int, most: int = P.trials
     ) -> None:
-        self._sitter, self._seed, self._most = sitter, seed, min(most, TRIALS_MOST)
+        self._sitter, self._seed, self._most = sitter, seed, min(most, P.trials)
         self.posterior, self._taken = CurvePosterior(), 0
 
     @property
     def refusal(self) -> str:
         """Why the answers cannot be used, or ""."""
-        if self.posterior.catch_evidence < GUESSED:
-            return f"too many comparisons of one frequency, {CATCH_DB:g} dB apart, were wrong"
+        if self.posterior.catch_evidence < P.guessed:
+            return f"too many comparisons of one frequency, {P.catch_db:g} dB apart, were wrong"
         guessed = "the answers contradict each other, as guesses would"
-        return guessed if self.posterior.evidence < GUESSED else ""
+        return guessed if self.posterior.evidence < P.guessed else ""
 
     def next_trial(self) -> tuple[Trial, Trial] | None:
         """Return the trial to play next, twice; None if the fit is over."""
-        number, is_sure = self._taken, self.posterior.catch_evidence >= SURE
-        is_known = self.posterior.uncertainty_db.max() < ENOUGH_DB
+        number, is_sure = self._taken, self.posterior.catch_evidence >= P.sure
+        is_known = self.posterior.uncertainty_db.max() < P.enough_db
         if number >= self._most or (is_known and is_sure):
             return None
-        rng, headroom_db = np.random.default_rng([self._seed, number]), self._sitter.headroom_db
-        test_first, louder = (bool(flip) for flip in rng.integers(0, 2, 2))
-        block, place = divmod(number, BLOCK)
-        is_catch = place == np.random.default_rng([self._seed, block, BLOCK]).integers(1, BLOCK)
-        if is_catch or (number >= self._most - CATCHES_LAST and not is_sure):
-            is_louder = louder and headroom_db >= CATCH_DB
-            hz, level_db = REFERENCE_HZ, CATCH_DB if is_louder else -CATCH_DB
-        else:
-            hz, level_db = self.posterior.next_trial(headroom_db)
-        trial = {"trial": number, "hz": hz, "level_db": level_db, "test_first": test_first}
+        test_first, louder = np.random.default_rng([self._seed, number]).integers(0, 2, 2)
+        block, place = divmod(number, P.block)
+        is_catch = place == np.random.default_rng([self._seed, block, P.block]).integers(1, P.block)
+        hz, level_db = self.posterior.next_trial()
+        if is_catch or (number >= self._most - P.catches_last and not is_sure):
+            is_louder = louder and self._sitter.headroom_db >= P.catch_db
+            hz, level_db = P.reference_hz, P.catch_db if is_louder else -P.catch_db
+        level_db = min(level_db, self._sitter.headroom_db)
+        trial = {"trial": number, "hz": hz, "level_db": level_db, "test_first": bool(test_first)}
         return trial, trial
 
     def take(self, row: Mapping[str, Any]) -> None:
         """Learn from a recorded answer."""
         is_stronger = float((row["answer"] == "first") == row["test_first"])
-        stronger = 0.5 if row["answer"] == UNKNOWN[0] else is_stronger
+        stronger = 0.5 if row["answer"] == "unknown" else is_stronger
         self.posterior.add(row["hz"], row["level_db"], stronger)
         self._taken += 1

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.fit.curve import REFERENCE_HZ, TEST_HZ, resonance_db
-from audioflinger_hook.fit.session import TRIALS_MOST, FitSession, SimulatedSitter
+from audioflinger_hook.fit import PROTOCOL
+from audioflinger_hook.fit.curve import HZ, resonance_db
+from audioflinger_hook.fit.session import FitSession, SimulatedSitter
 from audioflinger_hook.trials.record import Rows
 from audioflinger_hook.trials.session import run
 from tools.bench.report import Must, Row, Section
@@ -26,7 +27,7 @@ def sitter(seed: int, lapse: float | None = None) -> SimulatedSitter:
     lapse: share of guessed answers, by default from 0 to 5 %.
     """
     random = np.random.default_rng(seed)
-    hz = np.union1d(np.geomspace(*SPAN, NODES_A_SPAN), [*TEST_HZ, REFERENCE_HZ])
+    hz = np.union1d(np.geomspace(*SPAN, NODES_A_SPAN), HZ)
     octaves = np.log2(hz)
     apart = (octaves[:, None] - octaves) / random.uniform(0.5, 1.5)
     root = np.linalg.cholesky(np.exp(-0.5 * apart**2) + 1e-6 * np.eye(hz.size))
@@ -41,11 +42,11 @@ def sitter(seed: int, lapse: float | None = None) -> SimulatedSitter:
 
 
 def fitted(person: SimulatedSitter) -> tuple[FitSession, NDArray[np.float64], int]:
-    """Return a person's fit, its errors in dB at TEST_HZ without their mean, and its trials."""
+    """Return a person's fit, its errors in dB at the test frequencies, without their mean, and its trials."""
     session, rows = FitSession(person, person.seed), Rows()
     for _ in run(rows, session, person.answer):
         pass
-    errors = session.posterior.curve_db[:-1] - [person.curve_db[hz] for hz in TEST_HZ]
+    errors = session.posterior.curve_db[:-1] - [person.curve_db[hz] for hz in HZ[:-1]]
     return session, errors - errors.mean(), len(rows.trials)
 
 
@@ -65,7 +66,7 @@ def fit(bench: Workbench) -> Section:
         Row("error, 95th percentile", float(np.percentile(rms_db, 95)), "dB", must=MOST_DB),
         Row("error, largest", float(rms_db.max()), "dB"),
         Row("trials, mean", float(np.mean(trials)), ""),
-        Row("trials, most", float(max(trials)), "", must=Must("<=", float(TRIALS_MOST))),
+        Row("trials, most", float(max(trials)), "", must=Must("<=", float(PROTOCOL.trials))),
         Row("honest people refused", false, "%", must=FALSELY),
         Row("guessing people refused", true, "%", must=REFUSED),
     )
