@@ -3,7 +3,6 @@
 import argparse
 import json
 import math
-import re
 import secrets
 import sys
 import time
@@ -15,13 +14,14 @@ from functools import partial
 
 from audioflinger_hook.cli.terminal import pressed_keys
 from audioflinger_hook.config import fits
+from audioflinger_hook.fit import PROTOCOL_TEXT
 from audioflinger_hook.fit.curve import HZ
 from audioflinger_hook.fit.session import FitSession, FittedPerson, SimulatedSitter
 from audioflinger_hook.transform.design.strength import FIT_BOOST_DB
 from audioflinger_hook.trials.page import PageAnswers, screen
 from audioflinger_hook.trials.person import Person, TerminalAnswers
-from audioflinger_hook.trials.player import DaemonPlayer, opened
-from audioflinger_hook.trials.record import Rows, TrialRecord, design_digest
+from audioflinger_hook.trials.player import opened
+from audioflinger_hook.trials.record import TrialRecord, design_digest
 from audioflinger_hook.trials.session import run as answered
 from audioflinger_hook.trials.simulated import people_file
 from device.errors import UsageError
@@ -33,86 +33,77 @@ DRAWN_DB = range(-20, 21)  # a column of the drawing for each
 def run(options: argparse.Namespace) -> int:
     """Fit, or show or undo fits."""
     if options.undo:
-        restored = fits.undo(options.undo)
-        print(f"{options.undo}: {'the fit before is back' if restored else 'removed'}")
+        print(f"{options.undo}: {fits.undo(options.undo)}")
     elif options.show is not None:
-        names = options.show or fits.names()
-        found = [fits.read(name) for name in names] or [fits.chosen("", None)]
+        names = options.show or fits.names() or [fits.default_name(options.device)]
+        found = [fits.read(name) for name in names]
         print(json.dumps([*map(asdict, found)], indent=2) if options.json else _table(found))
     else:
-        _fit(options)
+        with ExitStack() as stack:
+            _fit(options, stack)
     return 0
 
 
-def _fit(options: argparse.Namespace) -> None:
+def _fit(options: argparse.Namespace, stack: ExitStack) -> None:
     if not 1.0 <= options.minutes <= 10.0:
         raise UsageError(f"minutes={options.minutes:g} is out of range; allowed: 1 to 10")
     if options.simulate and (options.page or options.device):
         raise UsageError("--simulate answers itself; leave out --page and --device")
-    with ExitStack() as stack:
-        sitter: SimulatedSitter | FittedPerson
-        if options.simulate:
-            found, what = people_file(options.simulate), f"the sitter {options.simulate}"
-            sitter = fits.checked(SimulatedSitter, found, what)
-            device, about = "simulated", repr(sitter)
+    sitter: SimulatedSitter | FittedPerson
+    if options.simulate:
+        values, what = people_file(options.simulate), f"the sitter {options.simulate}"
+        sitter, device = fits.checked(SimulatedSitter, values, what), None
+    else:
+        daemon = stack.enter_context(opened(options.device or "", time.monotonic))
+        device = daemon.status().device.address
+    name = options.name or fits.default_name(device)
+    path = fits.path_of(name).with_suffix(".jsonl")
+    if options.new:
+        path.unlink(missing_ok=True)
+    design = design_digest({"protocol": PROTOCOL_TEXT, "for": device or repr(sitter)})
+    seed = secrets.randbits(32) if options.seed is None else options.seed % 2**32
+    record = stack.enter_context(TrialRecord(path, design, header={"seed": seed}))
+    if resumed := len(record.trials):
+        told = f"going on after {counted(resumed, 'answers')}; --new begins again"
+        print(told, file=sys.stderr, flush=True)
+    if device:
+        answers: PageAnswers | TerminalAnswers
+        if options.page or not (sys.stdin and sys.stdin.isatty()):
+            tell = partial(print, "answer on this page:", file=sys.stderr, flush=True)
+            answers = stack.enter_context(closing(PageAnswers(daemon.stop, tell, time.time)))
         else:
-            daemon = stack.enter_context(opened(options.device or "", time.monotonic))
-            device = about = daemon.status().device.address
-        name = options.name or re.sub(r"[^\w.+-]", "-", device)
-        path = fits.path_of(name).with_suffix(".jsonl")
-        if options.new:
-            path.unlink(missing_ok=True)
-        seed = secrets.randbits(32) if options.seed is None else options.seed % 2**32
-        design = design_digest(about.encode())
-        rows = stack.enter_context(TrialRecord(path, design, header={"seed": seed}))
-        if resumed := len(rows.trials):
-            told = f"going on after {counted(resumed, 'answers')}; --new begins again"
-            print(told, file=sys.stderr, flush=True)
-        if not options.simulate:
-            sitter = _person(options.page, daemon, rows, stack)
-        script = FitSession(sitter, rows.header["seed"], int(20 * options.minutes))
-        for _ in answered(rows, script, sitter.answer):
-            pass
-    posterior, refusal = script.posterior, script.refusal
+            answers = TerminalAnswers(stack.enter_context(pressed_keys()))
+        known = record.trials[-1]["reference_dbfs"] if resumed else None
+        sitter = FittedPerson(Person(daemon, answers), known)
+    session = FitSession(sitter, record.header["seed"], int(20 * options.minutes))
+    for _ in answered(record, session, sitter.answer):
+        pass
+    if device:
+        answers.show(screen("text", "Thank you", "The comparisons are over."))
+    posterior, refusal = session.posterior, session.refusal
     curves = (
         {f"{hz:g}": round(float(db), 2) for hz, db in sorted(zip(HZ, values, strict=True))}
         for values in (posterior.curve_db, posterior.uncertainty_db)
     )
-    made, jnd_db = datetime.now().isoformat(" ", "seconds"), round(posterior.jnd_db, 2)
-    fit = fits.Fit(name, device, made, len(rows.trials), jnd_db, *curves)
+    about = device or "simulated", datetime.now().isoformat(" ", "seconds"), len(record.trials)
+    fit = fits.Fit(name, *about, round(posterior.jnd_db, 2), *curves)
     if not refusal:
         fits.store(fit)
     path.replace(path.with_suffix(".last.jsonl"))
     if options.json:
-        found = {"accepted": not refusal, "reason": refusal, "resumed_trials": resumed}
-        print(json.dumps(found | asdict(fit), indent=2))
+        facts = {"accepted": not refusal, "reason": refusal, "resumed_trials": resumed}
+        print(json.dumps(facts | asdict(fit), indent=2))
     if refusal:
         raise UsageError(f"the answers are refused: {refusal}; an earlier fit stays; try again")
     if not options.json:
-        print(_table([fit]))
-        print('stored; use it with strength = "fit" in [transform] of the config')
-
-
-def _person(on_page: bool, daemon: DaemonPlayer, rows: Rows, stack: ExitStack) -> FittedPerson:
-    """Return a person at the terminal or on the page, who has chosen a level."""
-
-    answers: PageAnswers | TerminalAnswers
-    if on_page or not (sys.stdin and sys.stdin.isatty()):
-        tell = partial(print, "answer on this page:", file=sys.stderr, flush=True)
-        answers = stack.enter_context(closing(PageAnswers(daemon.stop, tell, time.time)))
-    else:
-        answers = TerminalAnswers(stack.enter_context(pressed_keys()))
-    stack.callback(answers.show, screen("text", "Thank you", "The comparisons are over."))
-    known = rows.trials[-1]["reference_dbfs"] if rows.trials else None
-    return FittedPerson(Person(daemon, answers), known)
+        print(_table([fit]), 'use it with strength = "fit" in [transform] of the config', sep="\n")
 
 
 def _table(compared: Sequence[fits.Fit]) -> str:
     """Return fits as tables, drawn with their uncertainty, and their differences from the first."""
-    lines = []
+    lines, first = [], compared[0]
     for fit in compared:
-        known_db = max(fit.uncertainty_db.values())
-        about = f"known to {known_db:.1f} dB, decision noise {fit.jnd_db:.1f} dB"
+        about = f"known to {max(fit.uncertainty_db.values()):.1f} dB, noise {fit.jnd_db:.1f} dB"
         lines.append(
             f"{fit.name}: {fit.made}, {fit.device}, {counted(fit.trials, 'trials')}, {about}"
         )
@@ -124,8 +115,7 @@ def _table(compared: Sequence[fits.Fit]) -> str:
             line = f"  {float(hz):6.1f} Hz {db:+6.1f} dB ± {near_db:3.1f} |{drawn}|"
             if db < -FIT_BOOST_DB:
                 line += f", cut at +{FIT_BOOST_DB:g} dB"
-            if fit is not compared[0]:
-                more_db = db - compared[0].curve_db.get(hz, math.nan)
-                line += f", {more_db:+.1f} dB against {compared[0].name}"
+            if fit is not first:
+                line += f", {db - first.curve_db.get(hz, math.nan):+.1f} dB against {first.name}"
             lines.append(line)
     return "\n".join(lines)

@@ -9,6 +9,7 @@ from typing import Any
 from audioflinger_hook.config import fits, profiles
 from audioflinger_hook.config.applications import ApplicationRule, rule_refusals
 from audioflinger_hook.config.edits import Edits, apply_edits
+from audioflinger_hook.config.kinds import curve_text
 from audioflinger_hook.config.schema import (
     ACTUATOR,
     APPLICATION,
@@ -157,10 +158,11 @@ class _Reading:
         if chosen.get("strength") == "fit":
             try:
                 device = self.accepted[LiveSettings].get("device")
-                chosen["fit"] = fits.chosen(chosen.get("fit", ""), device).curve
+                name = chosen.get("fit") or fits.default_name(device)
+                chosen["fit"] = curve_text(fits.read(name).curve_db)
             except UsageError as error:
                 self._add("transform.strength", Refusal(f"cannot be used ({error})", "felt, flat"))
-                self.refused.add((TransformParameters, "strength"))
+                del chosen["strength"]
         owners: tuple[type[Described], ...] = (TransformParameters, Settings, LiveSettings)
         for owner in owners:
             for name, refusal in self._contradictions(owner, self.profile).items():

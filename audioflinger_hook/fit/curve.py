@@ -42,7 +42,7 @@ class CurvePosterior:
         resonances_hz = np.geomspace(*P.resonances_hz)
         rigs = [resonance_db(HZ, hz, q) for hz in resonances_hz for q in P.resonance_qs]
         shares = [P.smooth_share, *(len(rigs) * [(1.0 - P.smooth_share) / len(rigs)])]
-        relative = np.eye(HZ.size) - (HZ == P.reference_hz)
+        relative = np.eye(HZ.size) - (P.reference_hz == HZ)
         means = (P.felt_share * body + [np.zeros(HZ.size), *rigs]) @ relative.T
         self._means = np.repeat(means, len(P.noises_db), axis=0)
         self._log_shares = np.log(np.repeat(shares, len(P.noises_db)))

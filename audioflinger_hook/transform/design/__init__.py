@@ -161,7 +161,8 @@ def _designed(parameters: TransformParameters, samplerate: int, find_onsets: boo
     if not followed and parameters.strength == "fit":
         # Only loudness control can keep gains above 1 under the ceiling.
         gains = synthesis.gain_table
-        weights = felt_weight(parameters, SynthesisDesign.gain_step_hz * np.arange(gains.size))
+        steps = np.arange(float(gains.size))
+        weights = felt_weight(parameters, synthesis.gain_step_hz * steps)
         synthesis = replace(synthesis, gain_table=gains * (weights.min() / weights))
     suppression_db = parameters.speech_suppression_db
     design = LiveDesign(

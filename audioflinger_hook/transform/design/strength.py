@@ -187,4 +187,4 @@ def interpolated_db(curve: str, vibration_hz: FloatArray) -> FloatArray:
     """Return a curve HZ:DB,... in dB at frequencies in Hz, interpolated over their logarithm."""
     points = sorted(tuple(map(float, point.split(":"))) for point in curve.split(","))
     hz, level_db = np.array(points).T
-    return np.interp(np.log2(np.maximum(vibration_hz, hz[0])), np.log2(hz), level_db)
+    return np.asarray(np.interp(np.log2(np.maximum(vibration_hz, hz[0])), np.log2(hz), level_db))

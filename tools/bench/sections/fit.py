@@ -42,7 +42,7 @@ def sitter(seed: int, lapse: float | None = None) -> SimulatedSitter:
 
 
 def fitted(person: SimulatedSitter) -> tuple[FitSession, NDArray[np.float64], int]:
-    """Return a person's fit, its errors in dB at the test frequencies, without their mean, and its trials."""
+    """Return a fit, its errors in dB without their mean, and the number of its trials."""
     session, rows = FitSession(person, person.seed), Rows()
     for _ in run(rows, session, person.answer):
         pass
