@@ -45,8 +45,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _fit(options: argparse.Namespace, stack: ExitStack) -> None:
-    if not 1.0 <= options.minutes <= 10.0:
-        raise UsageError(f"minutes={options.minutes:g} is out of range; allowed: 1 to 10")
     if options.simulate and (options.page or options.device):
         raise UsageError("--simulate answers itself; leave out --page and --device")
     sitter: SimulatedSitter | FittedPerson

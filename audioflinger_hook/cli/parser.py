@@ -226,7 +226,7 @@ def _sync(command: Parser) -> None:
 def _fit(command: Parser) -> None:
     command.add_value("--device", str, "DEVICE", f"{SEE_DEVICES}; default: the daemon's")
     command.add_value("--name", str, "NAME", "name of the fit; default: from the device")
-    command.add_value("--minutes", float, "M", "at most 20 comparisons a minute, and 60", 3.0)
+    command.add_value("--minutes", duration, "M", "at most 20 comparisons a minute, and 60", 3.0)
     command.add_switch("--page", "answer on a page, not by keys of the terminal")
     command.add_switch("--new", "begin again, and drop the answers of an interrupted fit")
     person = "let a simulated person answer; the file has its curve"

@@ -14,7 +14,7 @@ from device.values import Choice, Described, Number, Refusal, Text
 SAMPLERATE_MIN_HZ = 1_000
 SAMPLERATE_MAX_HZ = 768_000
 THRESHOLD_MIN_HZ = 0.001
-_POINT = r"[1-9]\d{0,3}(\.\d+)?:-?\d{1,2}(\.\d+)?"
+_POINT = r"[1-9]\d{0,3}(\.\d+)?:-?\d{1,2}(\.\d+)?(e-\d+)?"
 CURVE = re.compile(f"{_POINT}(,{_POINT})*")  # sensitivity by frequency, HZ:DB,...
 
 

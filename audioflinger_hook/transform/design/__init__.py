@@ -160,10 +160,9 @@ def _designed(parameters: TransformParameters, samplerate: int, find_onsets: boo
     latency_frames = round(onset_frames if find_onsets else tonal_frames)
     if not followed and parameters.strength == "fit":
         # Only loudness control can keep gains above 1 under the ceiling.
-        gains = synthesis.gain_table
-        steps = np.arange(float(gains.size))
-        weights = felt_weight(parameters, synthesis.gain_step_hz * steps)
-        synthesis = replace(synthesis, gain_table=gains * (weights.min() / weights))
+        hz = synthesis.gain_step_hz * np.arange(float(synthesis.gain_table.size))
+        gains = 1.0 / felt_weight(parameters, hz)
+        synthesis = replace(synthesis, gain_table=synthesis.gain_table * gains / gains.max())
     suppression_db = parameters.speech_suppression_db
     design = LiveDesign(
         samplerate=samplerate,
