@@ -128,7 +128,7 @@ class TransformParameters(Described):
         ),
     ] = "flat"
     fit: Annotated[
-        str, Text("what strength = fit uses; default: the device's fit", "the name of a fit")
+        str, Text("fit that strength = fit uses; default: the device's", "the name of a fit")
     ] = ""
     resonance_hz: Annotated[
         float,
