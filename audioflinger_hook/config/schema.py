@@ -114,7 +114,7 @@ class Key:
         if isinstance(self.description, Number) and self.description.word:
             schema = {"anyOf": [schema, {"enum": [self.description.word]}]}
         schema = {"description": self.help, **schema}
-        if self.default in (None, "") or self.default != self.live_default:
+        if self.default is None or self.default != self.live_default:
             return schema
         default = list(self.default) if isinstance(self.default, tuple) else self.default
         return {**schema, "default": default}

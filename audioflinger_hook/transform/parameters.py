@@ -128,7 +128,8 @@ class TransformParameters(Described):
         ),
     ] = "flat"
     fit: Annotated[
-        str, Text("fit that strength = fit uses; default: the device's", "the name of a fit")
+        str,
+        Text("fit that strength = fit uses; default: the device's", "the name of a fit", least=0),
     ] = ""
     resonance_hz: Annotated[
         float,
