@@ -16,7 +16,7 @@ from audioflinger_hook.cli.terminal import pressed_keys
 from audioflinger_hook.config import fits
 from audioflinger_hook.fit import PROTOCOL_TEXT
 from audioflinger_hook.fit.curve import HZ
-from audioflinger_hook.fit.session import FitSession, FittedPerson, SimulatedSitter
+from audioflinger_hook.fit.session import FitSession, FittedPerson, SimulatedSitter, Sitter
 from audioflinger_hook.transform.design.strength import FIT_BOOST_DB
 from audioflinger_hook.trials.page import PageAnswers, screen
 from audioflinger_hook.trials.person import Person, TerminalAnswers
@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
 def _fit(options: argparse.Namespace, stack: ExitStack) -> None:
     if options.simulate and (options.page or options.device):
         raise UsageError("--simulate answers itself; leave out --page and --device")
-    sitter: SimulatedSitter | FittedPerson
+    sitter: Sitter
     if options.simulate:
         values, what = people_file(options.simulate), f"the sitter {options.simulate}"
         sitter, device = fits.checked(SimulatedSitter, values, what), None

@@ -2,7 +2,7 @@
 
 A trial has the columns trial (from 0), hz and level_db (of the test; relative to the reference),
 and test_first. A sitter has `answer`, which returns the column answer for a trial, and
-`headroom_db`, the highest level of a test in dB relative to the reference.
+`reference_dbfs`, the level of the reference.
 """
 
 import math
@@ -37,7 +37,7 @@ class SimulatedSitter(Described):
     jnd_db: Annotated[float, Number("deviation of the decision noise", 1e-3, 1e6, "dB")] = 1.5
     lapse: Annotated[float, Number("share of answers that are guessed", 0.0, 1.0)] = 0.0
     seed: Annotated[int, Number("seed of noise and guesses", 0, 2**53, whole=True)] = 0
-    headroom_db = math.inf
+    reference_dbfs = -math.inf
 
     def answer(self, trial: Trial) -> dict[str, Any]:
         """Answer a trial."""
@@ -62,10 +62,6 @@ class FittedPerson:
             self._is_whole(person.play(None, tones((P.reference_hz, self.reference_dbfs)), FEEL))
             said = str(person.answers.ask(LEVEL).value)
 
-    @property
-    def headroom_db(self) -> float:  # noqa: D102
-        return float(P.peak_dbfs - self.reference_dbfs)
-
     def answer(self, trial: Trial) -> dict[str, Any]:
         """Play a trial until it is whole and the person answers; add the reference's level."""
 
@@ -86,6 +82,9 @@ class FittedPerson:
         return False
 
 
+Sitter = SimulatedSitter | FittedPerson
+
+
 def tones(*parts: tuple[float, float]) -> Float32Array:
     """Return vibrations one after the other, (frames, 1) at 48 kHz. parts: Hz and dBFS of each."""
     time_s = np.arange(round(P.tone_s * P.rate_hz)) / P.rate_hz
@@ -103,9 +102,7 @@ class FitSession:
     seed: of orders and catch trials. most: largest number of trials, up to the protocol's.
     """
 
-    def __init__(
-        self, sitter: SimulatedSitter | FittedPerson, seed: int, most: int = P.trials
-    ) -> None:
+    def __init__(self, sitter: Sitter, seed: int, most: int = P.trials) -> None:
         self._sitter, self._seed, self._most = sitter, seed, min(most, P.trials)
         self.posterior, self._taken = CurvePosterior(), 0
 
@@ -126,12 +123,13 @@ class FitSession:
         test_first, louder = np.random.default_rng([self._seed, number]).integers(0, 2, 2)
         block, place = divmod(number, P.block)
         is_catch = place == np.random.default_rng([self._seed, block, P.block]).integers(1, P.block)
+        most_db = P.peak_dbfs - self._sitter.reference_dbfs
         hz, level_db = self.posterior.next_trial()
         if is_catch or (number >= self._most - P.catches_last and not is_sure):
-            is_louder = louder and self._sitter.headroom_db >= P.catch_db
-            hz, level_db = P.reference_hz, P.catch_db if is_louder else -P.catch_db
-        level_db = min(level_db, self._sitter.headroom_db)
-        trial = {"trial": number, "hz": hz, "level_db": level_db, "test_first": bool(test_first)}
+            hz = P.reference_hz
+            level_db = P.catch_db if louder and P.catch_db <= most_db else -P.catch_db
+        trial = {"trial": number, "hz": hz, "level_db": min(level_db, most_db)}
+        trial |= {"test_first": bool(test_first)}
         return trial, trial
 
     def take(self, row: Mapping[str, Any]) -> None:
