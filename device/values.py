@@ -11,7 +11,7 @@ returns the errors as a dict. Pure functions; any thread may call them.
 import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
-from dataclasses import KW_ONLY, MISSING, dataclass
+from dataclasses import KW_ONLY, MISSING, dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, get_origin, get_type_hints
@@ -183,9 +183,10 @@ class Switch(Description):
 
 @dataclass(frozen=True)
 class Text(Description):
-    """A non-empty text. `grammar` describes its form in words."""
+    """A text of at least so many characters. `grammar` describes its form in words."""
 
     grammar: str = "a text that is not empty"
+    least: int = field(default=1, kw_only=True)
 
     @property
     def allowed(self) -> str:
@@ -193,12 +194,13 @@ class Text(Description):
         return self.grammar
 
     def refuse(self, value: object) -> Refusal | None:
-        """Refuse an empty text and every other type."""
-        return None if isinstance(value, str) and value else Refusal("is not a text", self.allowed)
+        """Refuse a shorter text and every other type."""
+        is_good = isinstance(value, str) and len(value) >= self.least
+        return None if is_good else Refusal("is not a text", self.allowed)
 
     def json_schema(self) -> dict[str, Any]:
         """Return a string."""
-        return {"type": "string", "minLength": 1}
+        return {"type": "string", "minLength": self.least}
 
 
 class Described:

@@ -224,18 +224,17 @@ def _sync(command: Parser) -> None:
 
 @_command("make all frequencies feel equally strong to you", "--device sink:NAME")
 def _fit(command: Parser) -> None:
-    command.usage = "%(prog)s [options]\n       %(prog)s [options] list|show|compare|undo [NAME...]"
-    command.any_order = True
-    words = "list: the stored fits; show, compare: their curves; undo: restore the fit before"
-    command.add_argument("words", nargs="*", metavar="list|show|compare|undo", help=words)
     command.add_value("--device", str, "DEVICE", f"{SEE_DEVICES}; default: the daemon's")
     command.add_value("--name", str, "NAME", "name of the fit; default: from the device")
-    command.add_value("--minutes", float, "M", "at most 20 comparisons a minute, and 60", 3.0)
+    command.add_value("--minutes", duration, "M", "at most 20 comparisons a minute, and 60", 3.0)
     command.add_switch("--page", "answer on a page, not by keys of the terminal")
     command.add_switch("--new", "begin again, and drop the answers of an interrupted fit")
     person = "let a simulated person answer; the file has its curve"
     command.add_value("--simulate", Path, "SITTER.json", person)
     command.add_value("--seed", count, "N", "seed of the order of trials; default: a new one")
+    shown = "show fits and their differences from the first; default: all"
+    command.add_argument("--show", nargs="*", metavar="NAME", help=shown)
+    command.add_value("--undo", str, "NAME", "restore the fit before, or remove the only one")
     command.add_json()
 
 
@@ -299,9 +298,6 @@ def _plugin(command: Parser) -> None:
         "--device", str, "NODE", "also write a PipeWire chain that plays to this sink"
     )
     command.add_value("--rate", int, "HZ", "also write settings for this sample rate")
-    command.add_value(
-        "--fit", str, "NAME", "fit for all profiles but paper; see `cushion fit list`"
-    )
 
 
 @_command("start the daemon at every login", "--device usb:152a:8750")

@@ -4,7 +4,6 @@ import argparse
 import os
 import sys
 
-from audioflinger_hook.config import fits
 from audioflinger_hook.plugin import install as plugin
 
 
@@ -18,8 +17,7 @@ def run(options: argparse.Namespace) -> int:
             print(f"{path}: removed")
     else:
         rates_hz = sorted({*plugin.RATES_HZ, *([options.rate] if options.rate else [])})
-        curve = fits.read(options.fit).curve if options.fit else ""
-        plugin.install(places, options.profile, options.device, tuple(rates_hz), curve)
+        plugin.install(places, options.profile, options.device, tuple(rates_hz))
         print(f"{places.plugin}: written, for {', '.join(map(str, rates_hz))} Hz")
         print(f"{places.bundle}: written")
         if options.device:

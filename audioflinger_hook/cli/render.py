@@ -98,8 +98,7 @@ def chosen_settings(options: argparse.Namespace, recorded: Settings | None = Non
     """Return the settings of `--config`, else `recorded`, else defaults; options override them."""
     default = options.default_profile
     if options.config:
-        found = config.load(options.config, default)
-        settings = found.settings.fitted(found.live.device)
+        settings = config.load(options.config, default).settings
     else:
         settings = recorded or Settings(profile=default)
     names = ("form", "channels", "profile", "damping", "protection", "rig", "model", "tolerance")

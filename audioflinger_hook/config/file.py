@@ -9,6 +9,7 @@ from typing import Any
 from audioflinger_hook.config import fits, profiles
 from audioflinger_hook.config.applications import ApplicationRule, rule_refusals
 from audioflinger_hook.config.edits import Edits, apply_edits
+from audioflinger_hook.config.kinds import curve_text
 from audioflinger_hook.config.schema import (
     ACTUATOR,
     APPLICATION,
@@ -153,19 +154,20 @@ class _Reading:
 
     def find_contradictions(self) -> None:
         self.accepted[Settings]["actuators"] = self.arrays[ACTUATOR]
+        chosen = self.accepted[TransformParameters]
+        if chosen.get("strength") == "fit":
+            try:
+                device = self.accepted[LiveSettings].get("device")
+                name = chosen.get("fit") or fits.default_name(device)
+                chosen["fit"] = curve_text(fits.read(name).curve_db)
+            except UsageError as error:
+                self._add("transform.strength", Refusal(f"cannot be used ({error})", "felt, flat"))
+                del chosen["strength"]
         owners: tuple[type[Described], ...] = (TransformParameters, Settings, LiveSettings)
         for owner in owners:
             for name, refusal in self._contradictions(owner, self.profile).items():
                 section = next(k.section for k in KEYS if (k.owner, k.field) == (owner, name))
                 self._add(f"{section}.{name}" if section else name, refusal)
-        chosen = self.accepted[TransformParameters]
-        name = str(chosen.get("fit", ""))
-        if chosen.get("strength") == "fit" and ":" not in name:
-            try:
-                fits.chosen(name)
-            except UsageError as error:
-                key = "transform.fit" if name else "transform.strength"
-                self._add(key, Refusal(f"needs a fit ({error})", "flat, felt, rig"))
         for number, rule in enumerate(self.arrays[APPLICATION], 1):
             profile = rule.get("profile") or self.profile
             found = self._contradictions(TransformParameters, profile)

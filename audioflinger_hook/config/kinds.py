@@ -1,11 +1,12 @@
 """Kinds of values in a config: rigs, files, addresses and names. They check and convert values."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from audioflinger_hook.sources import parse_tap
+from audioflinger_hook.transform.parameters import CURVE
 from device.errors import UsageError
 from device.rig.rig import SHIPPED, SUFFIX, read_rig
 from device.values import Description, Refusal, Text
@@ -57,6 +58,23 @@ class FileName(Text):
     def typed(self, value: Any) -> Any:
         """Return a path."""
         return Path(value)
+
+
+def curve_text(curve_db: Mapping[str, float]) -> str:
+    """Return a table of levels in dB, with Hz as keys, as a text that matches `CURVE`."""
+    return ",".join(f"{hz}:{level_db}" for hz, level_db in curve_db.items())
+
+
+@dataclass(frozen=True)
+class Curve(Text):
+    """A table of levels in dB, with frequencies in Hz as keys."""
+
+    grammar: str = "levels under 100 dB by frequency in Hz"
+
+    def refuse(self, value: object) -> Refusal | None:
+        """Return why the value is not such a table; None if it is allowed."""
+        is_good = isinstance(value, dict) and CURVE.fullmatch(curve_text(value))
+        return None if is_good else Refusal("is not a table of frequencies", self.allowed)
 
 
 @dataclass(frozen=True)

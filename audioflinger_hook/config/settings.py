@@ -6,7 +6,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from audioflinger_hook.config import fits
 from audioflinger_hook.config.applications import ApplicationRule
 from audioflinger_hook.config.kinds import Address, FileName, Names, RigName, Taps
 from audioflinger_hook.config.profiles import OFFLINE_DEFAULT, PROFILES, parameters_of
@@ -121,34 +120,20 @@ class Settings(Described):
             given["parameters"] = parameters_of(given["profile"], kept)
         return replace(self, **given)
 
-    def fitted(self, device: str | None = None) -> "Settings":
-        """Return the settings with the curve of `fit` in place of its name if `strength` is "fit".
-
-        device: without a name, the device's newest fit counts; without a device, the newest of all.
-        UsageError: there is no such fit.
-        """
-        chosen = self.parameters
-        if chosen.strength != "fit" or ":" in chosen.fit:
-            return self
-        curve = fits.chosen(chosen.fit, device).curve
-        said = dict.fromkeys((*self.said, "strength", "fit"))
-        return replace(self, parameters=replace(chosen, fit=curve), said=tuple(said))
-
     @cached_property
     def transform_parameters(self) -> TransformParameters:
         """The parameters for the transform, with the rig's resonance if `strength` is "rig".
 
-        With `strength` "fit", `fit` is a curve; see `fitted`.
         If the user set `resonance_hz`, the rig's resonance is not used. A profile's `strength`
         becomes "rig" if all actuators share one rig, damping, protection and exposure cap, and one
-        of these is not the default. UsageError: the rig file or the fit cannot be read.
+        of these is not the default. UsageError: the rig file cannot be read.
         """
         names = ("rig", "damping", "protection", "exposure_cap")
         driven = {
             tuple(getattr(one, name, None) or getattr(self, name) for name in names)
             for one in self.actuators or (self,)
         }
-        chosen = self.fitted().parameters
+        chosen = self.parameters
         of_profile = PROFILES[self.profile].get("strength")
         if of_profile and chosen.strength == of_profile.value and "strength" not in self.said:
             unset = {(SHIPPED[0], DAMPING[0], PROTECTION[0], EXPOSURE_CAP[0])}

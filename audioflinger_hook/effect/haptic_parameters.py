@@ -20,7 +20,7 @@ from audioflinger_hook.transform import Form, HapticTransform, TransformParamete
 from device.drive import SOURCES
 from device.errors import UsageError
 from device.units import db_to_amplitude
-from device.values import Choice, Description, Number, Text
+from device.values import Choice, Description, Number
 
 TRANSFORM_FIELDS = tuple(field.name for field in fields(TransformParameters))
 
@@ -30,9 +30,8 @@ def _parameter(name: str, described: Description, default: Value, meaning: str =
     if isinstance(described, Number):
         low, high, unit = described.low, described.high, described.unit
         return Parameter(name, type(default), default, low, high, unit=unit, meaning=meaning)
-    assert isinstance(described, (Choice, Text))
-    words = tuple(map(str, described.words)) if isinstance(described, Choice) else ()
-    return Parameter(name, str, default, choices=words, meaning=meaning)
+    words = map(str, described.words) if isinstance(described, Choice) else ()
+    return Parameter(name, str, default, choices=tuple(words), meaning=meaning)
 
 
 def _switch(name: str, default: bool, meaning: str) -> Parameter:

@@ -1,99 +1,140 @@
-"""The trials of one fit: chooses them, learns from them, and tells whether they are guesses."""
+"""The trials of a fit, and who answers them: a person or a simulated one.
 
-from collections.abc import Iterator, Mapping
-from typing import Any, Protocol
+A trial has the columns trial (from 0), hz and level_db (of the test; relative to the reference),
+and test_first. A sitter has `answer`, which returns the column answer for a trial, and
+`reference_dbfs`, the level of the reference.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
+from scipy.signal.windows import tukey
+from scipy.special import ndtr
 
-from audioflinger_hook.fit.curve import REFERENCE_HZ, TEST_HZ, CurvePosterior
-from audioflinger_hook.trials.record import Rows, run
-
-TRIALS_MOST, TRIALS_A_MINUTE = 60, 20
-ENOUGH_DB = 1.0  # the fit ends when no frequency is less certain than this
-BLOCK = 7  # one trial of each block is a catch trial
-CATCH_DB = 12.0  # level difference of a catch trial, whose two frequencies are the same
-CATCHES_LAST = 8  # of the last trials, as many are catch trials as needed to reach SURE
-SURE = 3.0  # evidence of the catch trials, relative to guessing, natural logarithm
-GUESSED = 1.0  # with less evidence, the answers count as guessed
-
-DESIGN = {"version": 1, "test_hz": TEST_HZ.tolist(), "reference_hz": REFERENCE_HZ}
-FIRST, SECOND, UNKNOWN = "first", "second", "unknown"
+from audioflinger_hook.config.kinds import Curve, curve_text
+from audioflinger_hook.fit import PROTOCOL as P
+from audioflinger_hook.fit.curve import CurvePosterior
+from audioflinger_hook.transform.design.strength import interpolated_db
+from audioflinger_hook.trials.page import screen
+from audioflinger_hook.trials.person import Person
+from audioflinger_hook.trials.player import Played
+from audioflinger_hook.trials.simulated import drawn, with_lapses
+from device.units import Float32Array, db_to_amplitude
+from device.values import Described, Number
 
 Trial = Mapping[str, Any]
-"""The columns of a trial.
-
-trial: number from 0. hz, level_db: frequency of the test, and its level relative to the reference.
-catch: whether the test has the reference's frequency. test_first: whether the test is first."""
+LEVEL, STRONGER, FEEL = (screen(**shown) for shown in (P.level, P.stronger, P.feel))
 
 
-class Sitter(Protocol):
-    """Whoever compares the vibrations: a person, or a simulation.
+@dataclass(frozen=True)
+class SimulatedSitter(Described):
+    """A simulated person. An answer depends on `seed` and on its own trial only."""
 
-    headroom_db: highest level of a test, in dB relative to the reference. answer: returns
-    {"answer": FIRST, SECOND or UNKNOWN}, and more columns.
-    """
+    curve_db: Annotated[Mapping[Any, float], Curve("sensitivity in dB by Hz")]
+    jnd_db: Annotated[float, Number("deviation of the decision noise", 1e-3, 1e6, "dB")] = 1.5
+    lapse: Annotated[float, Number("share of answers that are guessed", 0.0, 1.0)] = 0.0
+    seed: Annotated[int, Number("seed of noise and guesses", 0, 2**53, whole=True)] = 0
+    reference_dbfs = -math.inf
 
-    @property
-    def headroom_db(self) -> float: ...  # noqa: D102
+    def answer(self, trial: Trial) -> dict[str, Any]:
+        """Answer a trial."""
+        hz = np.array([trial["hz"], P.reference_hz])
+        test_db, reference_db = interpolated_db(curve_text(self.curve_db), hz)
+        stronger = ndtr((test_db - reference_db + trial["level_db"]) / self.jnd_db)
+        chances = with_lapses(np.array([stronger, 1.0 - stronger]), self.lapse)
+        # not from the stream of [seed, number], which draws the trial itself
+        is_weaker = drawn(chances, np.random.default_rng([self.seed, trial["trial"], 7]))
+        return {"answer": "second" if is_weaker == trial["test_first"] else "first"}
 
-    def answer(self, trial: Trial) -> Mapping[str, Any]: ...  # noqa: D102
+
+class FittedPerson:
+    """A person, who first raises the level of the reference if `reference_dbfs` is None."""
+
+    def __init__(self, person: Person, reference_dbfs: float | None = None) -> None:
+        self._person, said = person, ""
+        self.reference_dbfs = P.start_dbfs if reference_dbfs is None else reference_dbfs
+        while reference_dbfs is None and said != "good":
+            level_db = self.reference_dbfs + P.step_db.get(said, 0.0)
+            self.reference_dbfs = min(max(P.start_dbfs, level_db), P.most_dbfs)
+            self._is_whole(person.play(None, tones((P.reference_hz, self.reference_dbfs)), FEEL))
+            said = str(person.answers.ask(LEVEL).value)
+
+    def answer(self, trial: Trial) -> dict[str, Any]:
+        """Play a trial until it is whole and the person answers; add the reference's level."""
+
+        def vibration() -> Float32Array:
+            test = trial["hz"], self.reference_dbfs + trial["level_db"]
+            reference = P.reference_hz, self.reference_dbfs
+            return tones(*((test, reference) if trial["test_first"] else (reference, test)))
+
+        shown = {**STRONGER, "done": trial["trial"], "total": P.trials}
+        _, columns = self._person.answer(lambda: [(None, vibration(), FEEL)], shown, self._is_whole)
+        return {**columns, "reference_dbfs": self.reference_dbfs}
+
+    def _is_whole(self, played: Played) -> bool:
+        """Return whether protection changed nothing; else lower the level."""
+        if played.protection_db <= P.limited_db or self.reference_dbfs <= P.start_dbfs:
+            return True
+        self.reference_dbfs = max(P.start_dbfs, self.reference_dbfs - P.step_db["louder"])
+        return False
+
+
+Sitter = SimulatedSitter | FittedPerson
+
+
+def tones(*parts: tuple[float, float]) -> Float32Array:
+    """Return vibrations one after the other, (frames, 1) at 48 kHz. parts: Hz and dBFS of each."""
+    time_s = np.arange(round(P.tone_s * P.rate_hz)) / P.rate_hz
+    edges = tukey(time_s.size, 2.0 * P.edge_s / P.tone_s)
+    pause, edge = (np.zeros(round(s * P.rate_hz)) for s in (P.pause_s, P.edge_s))
+    waves = [db_to_amplitude(db) * edges * np.sin(math.tau * hz * time_s) for hz, db in parts]
+    between = [piece for wave in waves for piece in (wave, pause)][:-1]
+    # the player fades the first and last 50 ms
+    return np.concatenate((edge, *between, edge)).astype(np.float32)[:, None]
 
 
 class FitSession:
-    """One fit, which goes on with the trials that its record already has; implements `Script`.
+    """One fit; implements `Script`. `posterior` is what its answers say.
 
-    posterior: what the answers say. catches, wrong: number of catch trials, and of wrong answers.
-    record: its header has the seed of orders and catch trials, "seed". trials_most: their number.
+    seed: of orders and catch trials. most: largest number of trials, up to the protocol's.
     """
 
-    def __init__(self, record: Rows, sitter: Sitter, trials_most: int = TRIALS_MOST) -> None:
-        self.record, self._sitter, self._most = record, sitter, trials_most
-        self.posterior, self.catches, self.wrong = CurvePosterior(), 0, 0
-        self._taken, self._seed = 0, int(record.header["seed"])
+    def __init__(self, sitter: Sitter, seed: int, most: int = P.trials) -> None:
+        self._sitter, self._seed, self._most = sitter, seed, min(most, P.trials)
+        self.posterior, self._taken = CurvePosterior(), 0
 
     @property
     def refusal(self) -> str:
         """Why the answers cannot be used, or ""."""
-        if self.posterior.catch_evidence < GUESSED:
-            clear = f"of {self.catches} comparisons {CATCH_DB:g} dB apart, {self.wrong} were wrong"
-            return f"{clear} or not decided" if self.wrong else f"only {clear}"
+        if self.posterior.catch_evidence < P.guessed:
+            return f"too many comparisons of one frequency, {P.catch_db:g} dB apart, were wrong"
         guessed = "the answers contradict each other, as guesses would"
-        return guessed if self.posterior.evidence < GUESSED else ""
-
-    def run(self) -> Iterator[Mapping[str, Any]]:
-        """Ask until the fit is over; yield each row after it is on the disk.
-
-        WriteError: the disk is full. All errors of the sitter pass through.
-        """
-        return run(self.record, self, self._sitter.answer)
+        return guessed if self.posterior.evidence < P.guessed else ""
 
     def next_trial(self) -> tuple[Trial, Trial] | None:
         """Return the trial to play next, twice; None if the fit is over."""
-        number, is_sure = self._taken, self.posterior.catch_evidence >= SURE
-        is_known = self.posterior.uncertainty_db.max() < ENOUGH_DB
+        number, is_sure = self._taken, self.posterior.catch_evidence >= P.sure
+        is_known = self.posterior.uncertainty_db.max() < P.enough_db
         if number >= self._most or (is_known and is_sure):
             return None
-        random = np.random.default_rng([self._seed, number])
-        test_first, louder = (bool(flip) for flip in random.integers(0, 2, 2))
-        block, place = divmod(number, BLOCK)
-        catch_at = np.random.default_rng([self._seed, block, BLOCK]).integers(1, BLOCK)
-        headroom_db, hz = self._sitter.headroom_db, REFERENCE_HZ
-        is_late = number >= self._most - CATCHES_LAST
-        if catch := place == catch_at or (is_late and not is_sure):
-            level_db = CATCH_DB if louder and headroom_db >= CATCH_DB else -CATCH_DB
-        else:
-            index, level_db = self.posterior.next_trial(headroom_db)
-            hz = float(TEST_HZ[index])
-        trial = {"trial": number, "hz": hz, "level_db": level_db, "catch": bool(catch)}
-        trial |= {"test_first": test_first}
+        test_first, louder = np.random.default_rng([self._seed, number]).integers(0, 2, 2)
+        block, place = divmod(number, P.block)
+        is_catch = place == np.random.default_rng([self._seed, block, P.block]).integers(1, P.block)
+        most_db = P.peak_dbfs - self._sitter.reference_dbfs
+        hz, level_db = self.posterior.next_trial()
+        if is_catch or (number >= self._most - P.catches_last and not is_sure):
+            hz = P.reference_hz
+            level_db = P.catch_db if louder and P.catch_db <= most_db else -P.catch_db
+        trial = {"trial": number, "hz": hz, "level_db": min(level_db, most_db)}
+        trial |= {"test_first": bool(test_first)}
         return trial, trial
 
     def take(self, row: Mapping[str, Any]) -> None:
         """Learn from a recorded answer."""
-        is_first = float((row["answer"] == FIRST) == row["test_first"])
-        stronger = 0.5 if row["answer"] == UNKNOWN else is_first
-        index = None if row["catch"] else int(np.argmin(np.abs(TEST_HZ - row["hz"])))
-        self.posterior.add(index, row["level_db"], stronger)
+        is_stronger = float((row["answer"] == "first") == row["test_first"])
+        stronger = 0.5 if row["answer"] == "unknown" else is_stronger
+        self.posterior.add(row["hz"], row["level_db"], stronger)
         self._taken += 1
-        self.catches += row["catch"]
-        self.wrong += row["catch"] and stronger != float(row["level_db"] > 0.0)

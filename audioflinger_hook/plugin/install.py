@@ -8,7 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-from audioflinger_hook.config.profiles import OFFLINE_DEFAULT, PROFILES, parameters_of
+from audioflinger_hook.config.profiles import PROFILES, parameters_of
 from audioflinger_hook.core import FILE_NAME
 from audioflinger_hook.core import library_path as plugin_path
 from audioflinger_hook.core.design import core_design
@@ -76,14 +76,11 @@ def built_plugin() -> Path:
     return path
 
 
-def install(
-    places: Places, profile: str, device: str | None, rates_hz: tuple[int, ...], fit: str = ""
-) -> None:
+def install(places: Places, profile: str, device: str | None, rates_hz: tuple[int, ...]) -> None:
     """Install or update the plugin, its designs and the LV2 bundle.
 
     device: name of a sink, for which a PipeWire configuration with `profile` is written; None for
-    no configuration. rates_hz: sample rates of the designs. fit: a curve, as in
-    `TransformParameters.fit`, for all profiles except the published one; "" for none.
+    no configuration. rates_hz: sample rates of the designs.
     NotFoundError: the plugin is not built or cannot be loaded. UsageError: a path belongs to
     another program, or a sample rate is not supported. WriteError: a file cannot be written.
     """
@@ -92,13 +89,9 @@ def install(
         check_format(rate_hz, 1)
     _refuse_foreign(places)
     variants = public_variants(built)
-    said = {"strength": "fit", "fit": fit} if fit else {}
-    parameters = {
-        name: parameters_of(name, {} if name == OFFLINE_DEFAULT else said) for name in PROFILES
-    }
     designs = {
         f"{name}-{rate_hz}.design": core_design(
-            rate_hz, CHANNELS, transform=LiveDesign.of(parameters[name], rate_hz).records()
+            rate_hz, CHANNELS, transform=LiveDesign.of(parameters_of(name), rate_hz).records()
         )
         for name in PROFILES
         for rate_hz in rates_hz

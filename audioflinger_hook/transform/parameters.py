@@ -14,36 +14,8 @@ from device.values import Choice, Described, Number, Refusal, Text
 SAMPLERATE_MIN_HZ = 1_000
 SAMPLERATE_MAX_HZ = 768_000
 THRESHOLD_MIN_HZ = 0.001
-
-
-FIT_POINT = r"\d+(\.\d+)?:-?\d+(\.\d+)?"
-FIT_NAME = r"\w[\w.+-]*"
-
-
-@dataclass(frozen=True)
-class FitText(Text):
-    """The name of a fit, or its curve: sensitivity in dB at ascending frequencies, HZ:DB,..."""
-
-    grammar: str = "the name of a fit; `cushion fit list` shows them"
-
-    def refuse(self, value: object) -> Refusal | None:
-        """Refuse what is neither a name nor a curve; "" is the default."""
-        text = value if isinstance(value, str) else ":"
-        is_curve = re.fullmatch(f"{FIT_POINT}(,{FIT_POINT})+", text)
-        hz = [hz for hz, _ in fit_points(text)] if is_curve else []
-        if re.fullmatch(f"({FIT_NAME})?", text) or (hz and hz == sorted({*hz})):
-            return None
-        return Refusal("is not the name of a fit", self.allowed)
-
-    def json_schema(self) -> dict[str, Any]:
-        """Return a string, empty for the default."""
-        return {"type": "string"}
-
-
-def fit_points(curve: str) -> list[tuple[float, float]]:
-    """Return frequencies in Hz and sensitivities in dB of a curve HZ:DB,... ."""
-    points = (point.partition(":") for point in curve.split(","))
-    return [(float(hz), float(db)) for hz, _, db in points]
+_POINT = r"[1-9]\d{0,3}(\.\d+)?:-?\d{1,2}(\.\d+)?(e-\d+)?"
+CURVE = re.compile(f"{_POINT}(,{_POINT})*")  # sensitivity by frequency, HZ:DB,...
 
 
 @dataclass(frozen=True)
@@ -155,7 +127,10 @@ class TransformParameters(Described):
             ("flat", "felt", "fit", "rig"),
         ),
     ] = "flat"
-    fit: Annotated[str, FitText("fit that strength = fit uses; default: the device's")] = ""
+    fit: Annotated[
+        str,
+        Text("fit that strength = fit uses; default: the device's", "the name of a fit", least=0),
+    ] = ""
     resonance_hz: Annotated[
         float,
         Number(
@@ -184,7 +159,7 @@ class TransformParameters(Described):
 
     @classmethod
     def contradictions(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
-        """Return, by field name, why frequency limits are too close to each other."""
+        """Return, by field name, why frequency limits are too close, and why `fit` is no curve."""
         found: dict[str, Refusal] = {}
         low, high = values.get("band_low_hz"), values.get("band_high_hz")
         if low is not None and high is not None and high < 2 * low:
@@ -197,6 +172,8 @@ class TransformParameters(Described):
                 f"leaves no room above 1/window_s={1 / window_s:.1f} Hz",
                 f"at least {2 / window_s:.1f} Hz at this window_s",
             )
+        if values.get("strength") == "fit" and not CURVE.fullmatch(values.get("fit", "")):
+            found["fit"] = Refusal("is not a curve", "sensitivity in dB, as HZ:DB,...")
         return found
 
     @property

@@ -1,7 +1,6 @@
 """`cushion fit` with simulated people: errors, guesses, kill -9, files, and what it changes."""
 
 import json
-import math
 import resource
 import signal
 from dataclasses import replace
@@ -10,15 +9,19 @@ import numpy as np
 import pytest
 import soundfile
 
+from audioflinger_hook.cli.parser import build_parser
+from audioflinger_hook.cli.run import _run_config
 from audioflinger_hook.config import fits
+from audioflinger_hook.config.file import load
 from audioflinger_hook.config.profiles import parameters_of
+from audioflinger_hook.fit import PROTOCOL as P
 from audioflinger_hook.fit.curve import CurvePosterior
-from audioflinger_hook.fit.person import PEAK_DBFS, RATE_HZ, START_DBFS, FittedPerson, tones
-from audioflinger_hook.fit.session import FIRST, SECOND, UNKNOWN, FitSession
+from audioflinger_hook.fit.session import FitSession, FittedPerson, tones
 from audioflinger_hook.service.status import ExposureFigures
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.mapping import VibrationMapping
-from audioflinger_hook.trials.record import TrialRecord
+from audioflinger_hook.trials.record import Rows, TrialRecord
+from audioflinger_hook.trials.session import run
 from device.errors import UsageError, WriteError
 from tests.support.commands import call, document, refused, start
 from tests.support.signals import tone
@@ -26,6 +29,7 @@ from tests.support.trials import PLAYED, Answers, Player
 from tests.support.trials import person as person_of
 from tools.bench.sections.fit import RANDOM, fitted, sitter
 
+RATE_HZ = P.rate_hz
 CURVE = {"25": -15.0, "40": -4.0, "70": 0.0, "100": 5.0, "200": -7.0}
 
 
@@ -49,14 +53,13 @@ def person(tmp_path):
     return write
 
 
-def test_curves_of_people_are_found_and_guesses_refused(tmp_path):
+def test_curves_of_people_are_found_and_guesses_refused():
     errors_db = []
     for seed in range(1_000, 1_020):
-        session, errors = fitted(sitter(seed), tmp_path / f"{seed}")
-        assert len(session.record.trials) <= 60
-        assert session.refusal == ""
+        session, errors, trials = fitted(sitter(seed))
+        assert (trials <= 60, session.refusal) == (True, "")
         errors_db.append(np.sqrt(np.mean(errors**2)))
-        assert fitted(sitter(seed, RANDOM), tmp_path / f"g{seed}")[0].refusal
+        assert fitted(sitter(seed, RANDOM))[0].refusal
     assert np.median(errors_db) <= 1.5
     assert np.percentile(errors_db, 90) <= 2.5
 
@@ -65,8 +68,10 @@ def test_an_answer_informs_its_neighbours_and_half_an_answer_is_between():
     def after(stronger):
         posterior = CurvePosterior()
         before = posterior.curve_db.copy(), posterior.uncertainty_db.copy()
-        posterior.add(6, -posterior.curve_db[6], stronger)
-        return posterior.curve_db - before[0], posterior.uncertainty_db - before[1]
+        posterior.add(148.6, -posterior.curve_db[6], stronger)
+        changes = posterior.curve_db - before[0], posterior.uncertainty_db - before[1]
+        assert (changes[0][8], changes[1][8]) == (0.0, 0.0)
+        return changes[0][:8], changes[1][:8]
 
     (up, _), (down, _), (none, surer) = after(1.0), after(0.0), after(0.5)
     assert up[5:].min() > 0.1 > -0.1 > down[5:].max()
@@ -74,18 +79,23 @@ def test_an_answer_informs_its_neighbours_and_half_an_answer_is_between():
     assert (surer[5:] < -0.1).all()
 
 
-@pytest.mark.parametrize("given", [FIRST, SECOND, UNKNOWN])
-def test_whoever_gives_one_answer_to_everything_is_refused(given, tmp_path):
-    class Stubborn:
-        headroom_db = math.inf
-
-        def answer(self, trial):
-            return {"answer": given}
-
-    with TrialRecord(tmp_path / "record", header={"seed": 3}) as record:
-        session = FitSession(record, Stubborn())
-        list(session.run())
+@pytest.mark.parametrize("given", ["first", "second", "unknown"])
+def test_whoever_gives_one_answer_to_everything_is_refused(given):
+    session = FitSession(sitter(0), 3)
+    list(run(Rows(), session, lambda trial: {"answer": given}))
     assert session.refusal
+
+
+def test_answers_that_contradict_each_other_are_refused_though_catch_trials_are_right():
+    session = FitSession(sitter(0), 3)
+    said = {"test_first": True, "answer": "first"}
+    for _ in range(5):
+        session.take({"hz": 70.0, "level_db": 12.0, **said})
+    assert session.refusal == ""
+    for hz in (25.0, 61.0, 110.4, 200.0):  # stronger when it is weak, and weaker when it is strong
+        session.take({"hz": hz, "level_db": -12.0, **said})
+        session.take({"hz": hz, "level_db": 12.0, **said, "answer": "second"})
+    assert "contradict" in session.refusal
 
 
 def test_kill_9_loses_no_answer_and_the_fit_goes_on_to_the_same_result(state, person, tmp_path):
@@ -143,9 +153,10 @@ def test_a_record_has_one_design_and_one_user_and_survives_a_full_disk(tmp_path)
     ("facts", "said"),
     [
         ({"curve_db": None}, ["curve_db is not a table of frequencies"]),
-        ({"curve_db": {}}, ["curve_db is not a table"]),
-        ({"curve_db": {"70": "x", "0": 1, "a": 2}}, ['"70": "x"', '"0": 1', '"a": 2']),
-        ({"curve_db": {"70": 1e9}}, ['"70": 1000000000.0']),
+        *(
+            ({"curve_db": curve}, ["curve_db is not a table of frequencies"])
+            for curve in ({}, {"70": "x"}, {"0": 1}, {"a": 2}, {"70": 1e9}, {"70": True}, [1], "")
+        ),
         ({"jnd_db": 0, "lapse": 2, "seed": 1.5}, ["jnd_db", "lapse", "seed"]),
         ({"jnd": 1, "lapse": True}, ["did you mean 'jnd_db'", "lapse is not a number"]),
     ],
@@ -161,15 +172,12 @@ def test_all_mistakes_of_a_sitter_are_said_at_once(state, person, facts, said):
     ("arguments", "said"),
     [
         (["--simulate", "nowhere.json"], "nowhere.json cannot be read"),
-        (["--seed", "-1"], "seed=-1"),
-        (["--minutes", "0"], "minutes=0"),
-        (["--name", "../x", "--device", "sink:a"], "fit"),
-        (["shwo"], "did you mean show?"),
-        (["compare", "a"], "takes 2 to 4 names"),
-        (["show", "a"], "no fit 'a'"),
-        (["undo", "../a"], "cannot be named"),
+        (["--minutes", "0"], "--minutes: '0' is not a duration"),
+        (["--simulate", "a", "--page"], "leave out --page"),
+        (["--show"], "no fit 'simulated'; none was found; make one"),
+        (["--show", "a"], "no fit 'a'"),
+        (["--undo", "../a"], "cannot be named"),
         (["--page"], "no device is named: give one with --device"),
-        (["--device", "sink:a"], "not a terminal"),
     ],
 )
 def test_wrong_usage_is_refused_in_one_line(state, arguments, said):
@@ -186,15 +194,15 @@ def test_refused_answers_keep_the_old_fit_and_a_fit_can_be_undone(state, person,
     later = document("fit", "--simulate", person(seed=9), "--seed", 1)
     assert later["curve_db"] != kept["curve_db"]
     document("fit", "--simulate", person(), "--name", "other")
-    assert "dB against other" in call("fit", "compare", "other", "simulated").stdout
-    assert call("fit", "list").stdout.count("\n") == 2
-    drawn = call("fit", "show", "simulated").stdout.splitlines()[1:]
+    assert "dB against other" in call("fit", "--show", "other", "simulated").stdout
+    assert [fit["name"] for fit in document("fit", "--show")] == ["other", "simulated"]
+    drawn = call("fit", "--show", "simulated").stdout.splitlines()[1:]
     middles = [line.index("o", line.index("|")) - line.index("|") - 21 for line in drawn]
     assert middles == [round(level_db) for level_db in later["curve_db"].values()]
-    assert call("fit", "undo", "simulated").code == 0
+    assert call("fit", "--undo", "simulated").code == 0
     assert (state / "simulated.toml").read_bytes() == before
     assert fits.read("simulated").curve_db == kept["curve_db"]
-    call("fit", "undo", "simulated")
+    call("fit", "--undo", "simulated")
     assert fits.names() == ["other"]
 
 
@@ -220,31 +228,38 @@ def test_strength_fit_changes_a_render_by_the_curve(profile, state, person, tmp_
 
 
 def test_without_a_name_the_fit_of_the_device_counts_and_a_missing_one_is_said(state, tmp_path):
-    def stored(name, device, made):
-        curve = {"25": 0.0, "200": float(len(name))}
-        fits.store(fits.Fit(name, device, made, curve, curve, 1.0, ({"trial": 0},)))
-
-    config = tmp_path / "config.toml"
-    config.write_text('device = "sink:a"\n[transform]\nstrength = "fit"\n')
-    assert "needs a fit" in refused(call("check", "--config", config))
-    stored("one", "sink:a", "2026-01-01")
-    stored("three", "sink:b", "2026-01-02")
-    assert fits.chosen(device="a").name == "one"
-    assert fits.chosen().name == "three"
-    with pytest.raises(UsageError, match=r"no fit is stored for the device sink:c.*one, three"):
-        fits.chosen(device="c")
-    config.write_text('[transform]\nstrength = "fit"\nfit = "tow"\n')
+    config, said = tmp_path / "config.toml", '[transform]\nstrength = "fit"\n'
+    config.write_text(f'device = "sink:a"\n{said}')
+    assert "cannot be used (no fit 'sink-a'; none" in refused(call("check", "--config", config))
+    for name, device in (("sink-a", "sink:a"), ("sink-b", "sink:b"), ("mine", "sink:b")):
+        curve = {"25": 0.0, "200": float(len(device) + len(name))}
+        fits.store(fits.Fit(name, device, "today", 40, 1.0, curve, curve))
+    parsed = build_parser().parse_args(["run", "--config", str(config), "--device", "b"])
+    assert _run_config(parsed).settings.parameters.fit == "25:0.0,200:12.0"
+    assert load(config).settings.choosing(profile="game").parameters.fit == "25:0.0,200:12.0"
+    config.write_text(f'{said}fit = "mine"\n')
+    assert load(config).settings.transform_parameters.fit == "25:0.0,200:10.0"
+    config.write_text(f'{said}fit = "tow"\n')
     assert "no fit 'tow'" in refused(call("check", "--config", config))
-    text = (state / "one.toml").read_text()
+    text = (state / "mine.toml").read_text()
     for damaged in ("curve_db = 3", text.replace("25 = 0.0", "25 = nan"), text[: len(text) // 2]):
-        (state / "one.toml").write_text(damaged)
-        with pytest.raises(UsageError, match="damaged"):
-            fits.read("one")
+        (state / "mine.toml").write_text(damaged)
+        with pytest.raises(UsageError, match=r"the fit .*mine.toml"):
+            fits.read("mine")
 
 
-def test_gains_are_cut_at_12_db_and_without_loudness_control_never_above_0():
+def test_gains_are_cut_at_12_db_which_is_said_and_without_loudness_control_never_above_0(
+    state, person
+):
     curve = "25:-30,70:0,200:20"
     gains = LiveDesign.of(parameters_of("cinema", {"strength": "fit", "fit": curve}), RATE_HZ)
+    weak = {"25": -30.0, "45.3": -30.0, "70": 0.0, "200": 0.0}
+    shown = call("fit", "--simulate", person(curve_db=weak), "--seed", 1).stdout.splitlines()
+    assert [line[:11] for line in shown if "cut at +12 dB" in line] == [
+        "    25.0 Hz",
+        "    33.6 Hz",
+        "    45.3 Hz",
+    ]
     assert 1.0 / gains.strength.felt_weights.min() == pytest.approx(10**0.6)
     plain, cut = (
         LiveDesign.of(parameters_of("paper", said), RATE_HZ).synthesis.gain_table
@@ -255,16 +270,16 @@ def test_gains_are_cut_at_12_db_and_without_loudness_control_never_above_0():
 
 def test_the_level_starts_low_is_raised_by_the_person_and_lowered_by_protection():
     player = Player({4: replace(PLAYED, protection_db=3.0)})
-    said = ["softer", "louder", "louder", "again", *["louder"] * 99, "good", "again", FIRST]
+    said = ["softer", "louder", "louder", "again", *["louder"] * 99, "good", "again", "first"]
     who = FittedPerson(person_of(player, Answers(*said)))
-    test = {"hz": 25.0, "level_db": who.headroom_db, "catch": False}
+    test = {"hz": 25.0, "level_db": P.peak_dbfs - who.reference_dbfs}
     answer = who.answer({**test, "trial": 0, "test_first": True})
     peaks_db = [20.0 * np.log10(np.abs(frames).max()) for _, frames in player.played]
-    raised_db = np.array(peaks_db[:7]) - START_DBFS
+    raised_db = np.array(peaks_db[:7]) - P.start_dbfs
     assert raised_db == pytest.approx([0.0, 0.0, 3.0, 6.0, 3.0, 6.0, 9.0], abs=0.1)
-    assert max(peaks_db) <= PEAK_DBFS
+    assert max(peaks_db) <= P.peak_dbfs
     kept = {key: answer[key] for key in ("answer", "again", "reference_dbfs")}
-    assert kept == {"answer": FIRST, "again": 1, "reference_dbfs": -12.0}
+    assert kept == {"answer": "first", "again": 1, "reference_dbfs": -12.0}
 
 
 def test_a_fit_ends_at_half_of_an_exposure_action_value():

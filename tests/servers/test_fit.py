@@ -6,13 +6,14 @@ import signal
 import numpy as np
 import pytest
 
-from audioflinger_hook.fit.person import RATE_HZ, TONE_S
+from audioflinger_hook.fit import PROTOCOL
 from tests.servers.daemons import environment
 from tests.servers.listening import recording, wait_for
 from tests.support.terminal import Terminal
 
 pytestmark = pytest.mark.servers
 
+RATE_HZ, TONE_S = PROTOCOL.rate_hz, PROTOCOL.tone_s
 CURVE = {25.0: -9.0, 50.0: -3.0, 70.0: 0.0, 110.0: 6.0, 200.0: -4.0}
 
 

@@ -16,7 +16,7 @@ from tests.support import signals
 from tests.support.parameters import CHOICES, LIMITS
 
 NAMES = [field.name for field in fields(TransformParameters)]
-NUMBERS = [name for name in NAMES if name not in CHOICES]
+NUMBERS = [*LIMITS]
 SLOPES = {"dynamics": "for each phon"}
 """Numbers with a unit by another one, which their meaning names."""
 
@@ -25,14 +25,15 @@ def test_every_parameter_has_a_range_and_is_documented_with_its_unit_and_meaning
     documentation = inspect.getdoc(TransformParameters) or ""
     for name in NAMES:
         assert name in documentation
-        assert (LIMITS.get(name) or CHOICES[name]).meaning
+        assert TransformParameters.DESCRIPTIONS[name].meaning
         if name in SLOPES:
             assert LIMITS[name].unit
             assert SLOPES[name] in LIMITS[name].meaning
         elif name in LIMITS and LIMITS[name].unit:
             # The unit stands in the name, too, where a reader of a call sees it.
             assert name.endswith("_" + LIMITS[name].unit.lower())
-    assert ({*LIMITS} | {*CHOICES}, list(TransformParameters.DESCRIPTIONS)) == ({*NAMES}, NAMES)
+    assert {*LIMITS, *CHOICES, "fit"} == {*NAMES}
+    assert list(TransformParameters.DESCRIPTIONS) == NAMES
     for name in NUMBERS:
         assert LIMITS[name].low < LIMITS[name].high
         assert LIMITS[name].low <= getattr(TransformParameters(), name) <= LIMITS[name].high
@@ -67,7 +68,7 @@ def test_what_is_beyond_the_end_of_a_range_is_refused_by_name_value_and_limits(n
 def test_a_choice_is_one_of_its_words_and_its_default_is_the_first(name):
     assert getattr(TransformParameters(), name) == CHOICES[name].words[0]
     for word in CHOICES[name].words:
-        chosen: dict[str, Any] = {name: word}
+        chosen: dict[str, Any] = {"fit": "70:0", name: word}
         assert getattr(TransformParameters(**chosen), name) == word
     wrongs: list[Any] = ["loud", "", str(CHOICES[name].words[0]).upper(), 1, ["paper"]]
     for wrong in wrongs:

@@ -11,7 +11,7 @@ from audioflinger_hook.core.rounding import round_section
 from audioflinger_hook.transform.design.analysis import AnalysisDesign, InputDesign, OnsetDesign
 from audioflinger_hook.transform.design.loudness import LoudnessDesign
 from audioflinger_hook.transform.design.speech import SpeechDesign
-from audioflinger_hook.transform.design.strength import StrengthDesign
+from audioflinger_hook.transform.design.strength import StrengthDesign, felt_weight
 from audioflinger_hook.transform.design.synthesis import (
     ATTACK_HOPS,
     LiveGrid,
@@ -158,6 +158,11 @@ def _designed(parameters: TransformParameters, samplerate: int, find_onsets: boo
     delay_ticks = loudness.delay_ticks if followed else onsets.delay_ticks
     onset_frames = (1.0 + delay_ticks) * grid.tick_frames + smoothing_frames
     latency_frames = round(onset_frames if find_onsets else tonal_frames)
+    if not followed and parameters.strength == "fit":
+        # Only loudness control can keep gains above 1 under the ceiling.
+        hz = synthesis.gain_step_hz * np.arange(float(synthesis.gain_table.size))
+        gains = 1.0 / felt_weight(parameters, hz)
+        synthesis = replace(synthesis, gain_table=synthesis.gain_table * gains / gains.max())
     suppression_db = parameters.speech_suppression_db
     design = LiveDesign(
         samplerate=samplerate,

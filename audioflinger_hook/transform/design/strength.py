@@ -10,9 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from audioflinger_hook.transform.arrays import FloatArray
-from audioflinger_hook.transform.design.sensitivity import felt_weight
 from audioflinger_hook.transform.design.synthesis import LiveGrid, SynthesisDesign
 from audioflinger_hook.transform.parameters import TransformParameters
+
+FELT_AT_HZ = 40.0
+"""Vibration of this frequency has weight 1.
+
+Above 12.5 Hz, the sensitivity of a seated body to vertical acceleration is proportional to 1/f.
+Sources: W_k of ISO 2631-1, up to 100 Hz; Griffin, Whitham and Parsons, Ergonomics 25, 1982."""
+
+FELT_FROM_HZ = 30.0  # lower vibration has the weight of this frequency
+FIT_BOOST_DB = 12.0  # largest gain of strength "fit" relative to 70 Hz
+RIG_LEAST = 1.0 / 16.0  # smallest product of the gains of damping and of the actuator
 
 PROGRAMME_TOP_DB = -10.0  # highest programme level; the lowest is lower by `loudness_db`
 PROGRAMME_START_DB = -20.0  # programme level before any sound, but at least `programme_min`
@@ -149,3 +158,33 @@ class StrengthDesign:
             gain_max=math.pow(10.0, parameters.loudness_db / 20.0),
             felt_weights=felt_weight(parameters, SynthesisDesign.gain_step_hz * steps),
         )
+
+
+def felt_weight(parameters: TransformParameters, vibration_hz: FloatArray) -> FloatArray:
+    """Return the sensitivity of a seated body to vibration at frequencies in Hz.
+
+    With strength "flat", the sensitivity is 1. With "felt", it is the sensitivity to acceleration,
+    relative to that at 40 Hz. With "rig" and a resonance_hz above 0, it is also multiplied by the
+    gain of damping and the actuator's relative acceleration per volt, 1 far above resonance. With
+    "fit", it is the curve `fit`, but at least -FIT_BOOST_DB.
+    """
+    if parameters.strength == "flat":
+        return np.ones_like(vibration_hz)
+    if parameters.strength == "fit":
+        level_db = np.maximum(interpolated_db(parameters.fit, vibration_hz), -FIT_BOOST_DB)
+        return np.asarray(10.0 ** (level_db / 20.0))
+    hz = np.maximum(vibration_hz, FELT_FROM_HZ)
+    felt: FloatArray = FELT_AT_HZ / hz
+    if parameters.strength == "rig" and parameters.resonance_hz > 0.0:
+        ratio = parameters.resonance_hz / hz
+        response = 1.0 / np.hypot(1.0 - ratio**2, ratio / parameters.resonance_q)
+        gain = math.pow(10.0, parameters.resonance_gain_db / 20.0)
+        felt *= np.maximum(gain * response, RIG_LEAST)
+    return felt
+
+
+def interpolated_db(curve: str, vibration_hz: FloatArray) -> FloatArray:
+    """Return a curve HZ:DB,... in dB at frequencies in Hz, interpolated over their logarithm."""
+    points = sorted(tuple(map(float, point.split(":"))) for point in curve.split(","))
+    hz, level_db = np.array(points).T
+    return np.asarray(np.interp(np.log2(np.maximum(vibration_hz, hz[0])), np.log2(hz), level_db))

@@ -6,7 +6,6 @@ import numpy as np
 
 from audioflinger_hook.core.rounding import round_filter, round_sections
 from audioflinger_hook.transform.arrays import ComplexArray, FloatArray
-from audioflinger_hook.transform.design.sensitivity import felt_weight
 from audioflinger_hook.transform.filters import (
     BUTTERWORTH_1,
     ELLIPTIC_6,
@@ -171,12 +170,6 @@ class SynthesisDesign:
             sections = round_sections(zeros, poles, gain)
         played_hz = np.arange(0.0, top_hz, cls.gain_step_hz)
         passed = _passed(low_b, low_a, sections, played_hz, low_rate_hz)
-        gain_table = 1.0 / np.maximum(np.abs(passed), GAIN_FLOOR)
-        if not followed and parameters.strength == "fit":
-            # Loudness control would keep the sum of amplitudes under the ceiling after the gains.
-            # Without it, no gain is above 1.
-            weights = felt_weight(parameters, played_hz)
-            gain_table *= weights.min() / weights
         fade_frames = round(BEGIN_S * samplerate) if followed else 0
         time = np.arange(1, grid.steps + 1) / grid.steps
         turn, turn_glide = glide_turns(grid.steps, grid.hop_s)
@@ -196,7 +189,7 @@ class SynthesisDesign:
             begin_fade=glide_shape(fade_frames),
             ceiling=FOLLOWED_CEILING if followed else cls.ceiling,
             phases=interpolation_phases(grid.decimation, top_hz, low_rate_hz),
-            gain_table=gain_table,
+            gain_table=1.0 / np.maximum(np.abs(passed), GAIN_FLOOR),
         )
 
     def delay_s(self, hz: float, samplerate: int) -> float:

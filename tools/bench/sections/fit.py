@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.fit.curve import REFERENCE_HZ, TEST_HZ, resonance_db
-from audioflinger_hook.fit.session import TRIALS_MOST, FitSession
-from audioflinger_hook.fit.simulated import SimulatedSitter
-from audioflinger_hook.trials.record import TrialRecord
+from audioflinger_hook.fit import PROTOCOL
+from audioflinger_hook.fit.curve import HZ, resonance_db
+from audioflinger_hook.fit.session import FitSession, SimulatedSitter
+from audioflinger_hook.trials.record import Rows
+from audioflinger_hook.trials.session import run
 from tools.bench.report import Must, Row, Section
 from tools.bench.workbench import Workbench
 
@@ -29,7 +27,7 @@ def sitter(seed: int, lapse: float | None = None) -> SimulatedSitter:
     lapse: share of guessed answers, by default from 0 to 5 %.
     """
     random = np.random.default_rng(seed)
-    hz = np.union1d(np.geomspace(*SPAN, NODES_A_SPAN), [*TEST_HZ, REFERENCE_HZ])
+    hz = np.union1d(np.geomspace(*SPAN, NODES_A_SPAN), HZ)
     octaves = np.log2(hz)
     apart = (octaves[:, None] - octaves) / random.uniform(0.5, 1.5)
     root = np.linalg.cholesky(np.exp(-0.5 * apart**2) + 1e-6 * np.eye(hz.size))
@@ -43,28 +41,24 @@ def sitter(seed: int, lapse: float | None = None) -> SimulatedSitter:
     return SimulatedSitter(curve_db, noise_db, lapses if lapse is None else lapse, seed)
 
 
-def fitted(person: SimulatedSitter, path: Path) -> tuple[FitSession, NDArray[np.float64]]:
-    """Return a person's fit, and its errors in dB at TEST_HZ without their mean."""
-    with TrialRecord(path, header={"seed": person.seed}) as record:
-        session = FitSession(record, person)
-        for _ in session.run():
-            pass
-    true = np.array([person.curve_db[hz] for hz in TEST_HZ])
-    errors = session.posterior.curve_db - true
-    return session, errors - errors.mean()
+def fitted(person: SimulatedSitter) -> tuple[FitSession, NDArray[np.float64], int]:
+    """Return a fit, its errors in dB without their mean, and the number of its trials."""
+    session, rows = FitSession(person, person.seed), Rows()
+    for _ in run(rows, session, person.answer):
+        pass
+    errors = session.posterior.curve_db[:-1] - [person.curve_db[hz] for hz in HZ[:-1]]
+    return session, errors - errors.mean(), len(rows.trials)
 
 
 def fit(bench: Workbench) -> Section:
     """Fit simulated people who answer honestly, and some who guess."""
     count = bench.effort.sitters
-    with tempfile.TemporaryDirectory(prefix="cushion-bench-") as folder:
-        path = Path(folder)
-        honest = [fitted(sitter(seed), path / f"{seed}") for seed in range(count)]
-        guessed = [fitted(sitter(seed, RANDOM), path / f"g{seed}") for seed in range(count)]
-    rms_db = np.array([np.sqrt(np.mean(errors**2)) for _, errors in honest])
-    trials = [len(session.record.trials) for session, _ in honest]
+    honest = [fitted(sitter(seed)) for seed in range(count)]
+    guessed = [fitted(sitter(seed, RANDOM)) for seed in range(count)]
+    rms_db = np.array([np.sqrt(np.mean(errors**2)) for _, errors, _ in honest])
+    trials = [count for _, _, count in honest]
     false, true = (
-        100.0 * float(np.mean([bool(session.refusal) for session, _ in each]))
+        100.0 * float(np.mean([bool(session.refusal) for session, *_ in each]))
         for each in (honest, guessed)
     )
     rows = (
@@ -72,7 +66,7 @@ def fit(bench: Workbench) -> Section:
         Row("error, 95th percentile", float(np.percentile(rms_db, 95)), "dB", must=MOST_DB),
         Row("error, largest", float(rms_db.max()), "dB"),
         Row("trials, mean", float(np.mean(trials)), ""),
-        Row("trials, most", float(max(trials)), "", must=Must("<=", float(TRIALS_MOST))),
+        Row("trials, most", float(max(trials)), "", must=Must("<=", float(PROTOCOL.trials))),
         Row("honest people refused", false, "%", must=FALSELY),
         Row("guessing people refused", true, "%", must=REFUSED),
     )
