@@ -92,7 +92,7 @@ def _simulate(design: Design, stimuli: Stimuli, options: argparse.Namespace) -> 
     """Let all people of a file take part who have not finished."""
     people, count = load_people(options.simulate, design)
     digest = sha256(options.simulate.read_bytes()).hexdigest()
-    finished = {one.code for one in records(design) if one.is_complete}
+    finished = {one.code for one in records(design, digest) if one.is_complete}
     for code in [f"S{number:03d}" for number in range(1, count + 1)]:
         if code not in finished:
             number, record = admit(design, code, digest)

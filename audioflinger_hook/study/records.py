@@ -78,16 +78,20 @@ def register(design: Design) -> dict[str, Any]:
     return found
 
 
-def records(design: Design) -> list[Record]:
+def records(design: Design, people: str | None = None) -> list[Record]:
     """Return the records of all participants who have begun.
 
-    UsageError: one is damaged, open in another process, or of another design.
+    people: SHA-256 of the file of simulated people, "" for real people, None for any. UsageError: a
+    record is damaged, open in another process, or of another design or other people.
     """
     found = []
     for path in begun(design):
         number, _, code = path.stem.partition("-")
         with TrialRecord(path, design.digest) as record:
             rows, header = record.trials, record.header
+        if people not in (None, header.get("simulated")):
+            told = "is of other people, real or simulated; move the data away first"
+            raise UsageError(f"{path} {told}")
         is_complete = len(rows) == len(session(design, int(number)))
         why = _exclusion(design, rows) if is_complete else "did not finish"
         found.append(Record(int(number), code, path, header, rows, is_complete, why))
@@ -97,15 +101,12 @@ def records(design: Design) -> list[Record]:
 def admit(design: Design, code: str, people: str) -> tuple[int, TrialRecord]:
     """Return number and record of a new participant, or of one who goes on.
 
-    people: SHA-256 of the file of simulated people, "" for a real person. UsageError: the code is
-    not allowed, participant or study has finished, or the data is of other people.
+    people: as for `records`. UsageError: the code is not allowed, participant or study has
+    finished, or there are records of other people.
     """
     if not CODE.fullmatch(code):
         raise UsageError(f"--participant={code!r} is no code; allowed: 1 to 32 letters and digits")
-    taken, most = {one.code: one for one in records(design)}, design.study.participants
-    if any(one.header.get("simulated") != people for one in taken.values()):
-        data = design.folder / DATA
-        raise UsageError(f"{data} is of other people, real or simulated; move it away first")
+    taken, most = {one.code: one for one in records(design, people)}, design.study.participants
     if code in taken and taken[code].is_complete:
         raise UsageError(f"participant {code} has finished already; give a new code")
     if code not in taken and sum(one.is_complete for one in taken.values()) >= most:

@@ -40,7 +40,9 @@ def design_text(*paradigms: str, participants: int = 20, more: str = "") -> str:
     for name, method in (("a", "band-pass"), ("b", "envelope"), ("c", "octave-fold")):
         text += f'[[condition]]\nname = "{name}"\nmethod = "{method}"\n'
     for name in paradigms:
-        text += f'[[question]]\nname = "{name}"\nparadigm = "{name}"\nstimuli = ["x.wav", "y.wav"]\n'
+        text += (
+            f'[[question]]\nname = "{name}"\nparadigm = "{name}"\nstimuli = ["x.wav", "y.wav"]\n'
+        )
         text += QUESTIONS[name] + "\n"
     return text
 
