@@ -3,10 +3,10 @@
 import argparse
 import json
 import time
-from collections.abc import Mapping
 from contextlib import ExitStack, closing
+from functools import partial
 from hashlib import sha256
-from typing import Any
+from pathlib import Path
 
 import soundfile
 
@@ -15,7 +15,14 @@ from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.study import report
 from audioflinger_hook.study.design import BUILT_IN, DESIGN, Design, MistakesError, load
 from audioflinger_hook.study.people import load_people, power
-from audioflinger_hook.study.records import admit, records, register, write_table
+from audioflinger_hook.study.records import (
+    UNFINISHED,
+    admit,
+    exclusion,
+    records,
+    register,
+    write_table,
+)
 from audioflinger_hook.study.session import Participant, Script, session
 from audioflinger_hook.study.stimuli import Stimuli
 from audioflinger_hook.trials.page import PageAnswers, screen
@@ -83,25 +90,24 @@ def _check(options: argparse.Namespace) -> None:
 def _run(options: argparse.Namespace) -> None:
     design = load(options.folder)
     register(design)
-    take_part = _simulate if options.simulate else _live
-    take_part(design, Stimuli(design), options)
+    stimuli = Stimuli(design)
+    if options.simulate:
+        _simulate(design, options.simulate)
+    else:
+        _live(design, stimuli, options)
     write_table(design)
 
 
-def _simulate(design: Design, stimuli: Stimuli, options: argparse.Namespace) -> None:
+def _simulate(design: Design, file: Path) -> None:
     """Let all people of a file take part who have not finished."""
-    people, count = load_people(options.simulate, design)
-    digest = sha256(options.simulate.read_bytes()).hexdigest()
-    finished = {one.code for one in records(design, digest) if one.is_complete}
-    for code in [f"S{number:03d}" for number in range(1, count + 1)]:
-        if code not in finished:
-            number, record = admit(design, code, digest)
-
-            def answer(row: Mapping[str, Any], number: int = number) -> dict[str, Any]:
-                return people.answer(number, row) | stimuli.columns(row)
-
-            with record:
-                list(run_session(record, Script(design, number), answer))
+    people, count = load_people(file, design)
+    digest = sha256(file.read_bytes()).hexdigest()
+    begun = records(design, digest)
+    for code in (f"S{number:03d}" for number in range(1, count + 1)):
+        if code not in begun or exclusion(design, begun[code]) == UNFINISHED:
+            with admit(design, code, digest) as record:
+                number = record.header["number"]
+                list(run_session(record, Script(design, number), partial(people.answer, number)))
     print(f"{count} simulated people took part; next: cushion study report {design.folder}")
 
 
@@ -109,19 +115,21 @@ def _live(design: Design, stimuli: Stimuli, options: argparse.Namespace) -> None
     """Let a person answer on the page, while the daemon plays."""
     if (code := options.participant) is None:
         raise UsageError("--participant CODE is missing; give an anonymous code, such as P01")
-    number, new_record = admit(design, code, "")
-    total = len(session(design, number))
+    tell = partial(print, "the participant answers at", flush=True)
     with ExitStack() as stack:
-        record = stack.enter_context(new_record)
+        record = stack.enter_context(admit(design, code, ""))
         player = stack.enter_context(opened(options.device or "", time.monotonic))
-        answers = stack.enter_context(closing(PageAnswers(player.stop, _show, time.time)))
-        participant = Participant(Person(player, answers), stimuli, total)
-        agreed = ("yes", "I agree", "1"), ("no", "I do not agree", "2")
-        consent = design.study.consent
-        if not record.trials and participant.read("Consent", consent, *agreed) == "no":
+        answers = stack.enter_context(closing(PageAnswers(player.stop, tell, time.time)))
+        number, agreed = record.header["number"], ("yes", "I agree", "1")
+        script, total = Script(design, number), len(session(design, number))
+        participant, consent = (
+            Participant(Person(player, answers), stimuli, total),
+            design.study.consent,
+        )
+        asked = "Consent", consent, agreed, ("no", "I do not agree", "2")
+        if not record.trials and participant.read(*asked) == "no":
             raise UsageError(f"participant {code} did not agree; no trial was played")
         try:
-            script = Script(design, number)
             list(run_session(record, script, participant.answer, participant.pause))
             answers.show(THANKS)
         finally:
@@ -131,13 +139,9 @@ def _live(design: Design, stimuli: Stimuli, options: argparse.Namespace) -> None
     print(f"participant {code} has finished")
 
 
-def _show(address: str) -> None:
-    print(f"the participant answers at {address}", flush=True)
-
-
 def _report(options: argparse.Namespace) -> None:
     design = load(options.folder)
-    document = report.as_document(design, register(design), write_table(design))
+    document = report.as_document(design)
     if options.json:
         print(json.dumps(document, indent=2))
         return

@@ -17,15 +17,8 @@ from typing import Any
 import soundfile
 
 from audioflinger_hook.baselines import BASELINES
+from audioflinger_hook.config import toml_text
 from audioflinger_hook.config.profiles import PROFILES, parameters_of
-from audioflinger_hook.config.toml_text import (
-    Mistake,
-    lines_of_keys,
-    listed,
-    parse,
-    printable,
-    text_of,
-)
 from audioflinger_hook.transform import HapticTransform
 from audioflinger_hook.trials.record import design_digest
 from device.errors import UsageError, not_installed
@@ -38,7 +31,7 @@ STUDY, CONDITION, QUESTION = "study", "condition", "question"
 SCHEMAS = {STUDY: json.loads((BUILT_IN / "design.schema.json").read_text())}
 for _table in (CONDITION, QUESTION):
     SCHEMAS[_table] = SCHEMAS[STUDY]["properties"].pop(_table)["items"]
-PARADIGMS: dict[str, Any] = tomllib.loads((BUILT_IN / "paradigms.toml").read_text())
+PARADIGMS: dict[str, dict[str, Any]] = tomllib.loads((BUILT_IN / "paradigms.toml").read_text())
 NONE = "none"
 METHODS = BASELINES | {
     name: partial(HapticTransform, parameters=parameters_of(name)) for name in PROFILES
@@ -56,9 +49,8 @@ class Question(SimpleNamespace):
     @property
     def kind(self) -> Mapping[str, Any]:
         """The paradigm's row of `paradigms.toml`."""
-        row: dict[str, Any] = PARADIGMS[self.paradigm]
-        other: dict[str, Any] = row.get(self.judgement, {})
-        return row | other
+        row = PARADIGMS[self.paradigm]
+        return {**row, **row.get(self.judgement, {})}
 
     @property
     def pairs(self) -> list[tuple[str, str]]:
@@ -119,13 +111,13 @@ def load(folder: Path) -> Design:
     """Return the design in a folder. MistakesError: all its mistakes, by line."""
     if not (folder / DESIGN).exists():
         raise UsageError(f"{folder} has no {DESIGN}; make it: `cushion study new {folder}`")
-    content = text_of(folder / DESIGN)
-    (document, mistakes), lines = parse(content), lines_of_keys(content)
+    content = toml_text.text_of(folder / DESIGN)
+    (document, mistakes), lines = toml_text.parse(content), toml_text.lines_of_keys(content)
     tables: dict[str, Any] = {table: document.pop(table, None) for table in (CONDITION, QUESTION)}
     for table, rows in tables.items():
         if not (isinstance(rows, list) and rows and all(isinstance(row, dict) for row in rows)):
             problem, allowed = "is missing: there are zero trials", f"one or more [[{table}]]"
-            mistakes.append(Mistake(table, lines.get(table, 0), "", problem, allowed))
+            mistakes.append(toml_text.Mistake(table, lines.get(table, 0), "", problem, allowed))
             tables[table] = []
     methods = {str(row.get("name")): str(row.get("method")) for row in tables[CONDITION]}
     made: dict[str, dict[str, Any]] = {}
@@ -139,8 +131,12 @@ def load(folder: Path) -> Design:
                 path = key if table == STUDY else f"{table}[{number}].{key}"
                 line = lines.get(path) or lines.get(path.rpartition(".")[0]) or 0
                 allowed = keys[key]["description"] if key in keys else ", ".join(keys)
-                value = printable(str(row.get(key, ""))) if key in keys else ""
-                mistakes.append(Mistake(printable(path), line, value, problem, allowed, meant))
+                value = toml_text.printable(str(row.get(key, ""))) if key in keys else ""
+                mistakes.append(
+                    toml_text.Mistake(
+                        toml_text.printable(path), line, value, problem, allowed, meant
+                    )
+                )
             if not keys.keys() & {key for key, *_ in found}:
                 values = {key: row.get(key, about.get("default")) for key, about in keys.items()}
                 kind = Question if table == QUESTION else SimpleNamespace
@@ -150,9 +146,9 @@ def load(folder: Path) -> Design:
     design = Design(folder, digest, study, made[CONDITION], made[QUESTION])
     if (hours := design.hours) > HOURS_MAX:
         problem, allowed = f"takes {hours:.1f} h for each participant", f"at most {HOURS_MAX:g} h"
-        mistakes.append(Mistake("this study", 0, "", problem, allowed))
+        mistakes.append(toml_text.Mistake("this study", 0, "", problem, allowed))
     if mistakes:
-        raise MistakesError(*listed(sorted(mistakes, key=lambda mistake: mistake.line)))
+        raise MistakesError(*toml_text.listed(sorted(mistakes, key=lambda mistake: mistake.line)))
     return design
 
 
@@ -164,33 +160,29 @@ def _problems(
     for key in row.keys() - keys.keys():
         yield key, "is an unknown key", nearest(key, keys)
     paradigm = PARADIGMS.get(str(row.get("paradigm")), {"keys": {}, "hidden": ()})
+    more: dict[str, Any] = {"conditions": {"items": {"enum": [*methods]}}}
     for key, about in keys.items():
-        if key in row:
-            more = paradigm["keys"].get(key, {})
-            if key == "effect" and "parameters" in paradigm:
-                more = people_schema(paradigm, good.get("conditions", ()))
-            if problem := why_not(about | more, row[key]):
-                yield key, problem, nearest(str(row[key]), about.get("enum", ()))
-            else:
-                good[key] = row[key]
+        wanted = about | more.get(key, {}) | paradigm["keys"].get(key, {})
+        if key in row and (problem := why_not(wanted, row[key])):
+            yield (
+                key,
+                problem,
+                nearest(str(row[key]), wanted.get("enum", about.get("examples", ()))),
+            )
+        elif key in row:
+            good[key] = row[key]
         elif key in (*schema["required"], *paradigm["hidden"]):
             yield key, "is missing", ""
-    method, conditions = good.get("method", NONE), good.get("conditions", ())
-    if method not in (NONE, *METHODS) and not {".", "/"} & {*method}:
-        yield "method", f"is none of {', '.join((NONE, *METHODS))}", nearest(method, METHODS)
-    for name in conditions:
-        if name not in methods:
-            yield "conditions", f"has {name!r}, but no such [[condition]]", nearest(name, methods)
-        for sound in good.get("stimuli", ()):
-            path = vibration_file(folder, methods.get(name, NONE), sound)
-            if path and not path.is_file():
-                yield "conditions", f"has {name!r}, which needs the file {path}", ""
+        if key == "conditions" and key in good and "parameters" in paradigm:
+            more = {name: {"enum": good[key]} for name in paradigm["hidden"]}
+            more["effect"] = people_schema(paradigm, good[key])
     for sound in good.get("stimuli", ()):
         if not SOUND_S[0] <= seconds(folder / sound) <= SOUND_S[1]:
             yield "stimuli", f"has {sound!r}, which is not such a file", ""
-    for key in good.keys() & {*paradigm["hidden"]}:
-        if good[key] not in conditions:
-            yield key, "is not one of them", nearest(good[key], conditions)
+        for name in good.get("conditions", ()):
+            path = vibration_file(folder, methods[name], sound)
+            if path and not path.is_file():
+                yield "conditions", f"has {name!r}, which needs the file {path}", ""
 
 
 def people_schema(paradigm: Mapping[str, Any], conditions: Sequence[str]) -> dict[str, Any]:

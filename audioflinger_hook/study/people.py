@@ -33,19 +33,15 @@ class People:
 
     def person(self, name: str, number: int) -> dict[str, FloatArray]:
         """Return a person's parameters in a question, one value for each condition."""
-        index = list(self.design.questions).index(name)
-        return self.drawn(name, np.random.default_rng((self.seed, index, number)))
-
-    def drawn(self, name: str, rng: np.random.Generator) -> dict[str, FloatArray]:
-        """Return the parameters of a random person in a question."""
         question, given = self.design.questions[name], self._truths.get(name, {})
+        index = list(self.design.questions).index(name)
+        rng = np.random.default_rng((self.seed, index, number))
 
         def values(key: str, default: float) -> FloatArray:
             found = given.get(key, default)
-            by_name = (
-                found if isinstance(found, dict) else dict.fromkeys(question.conditions, found)
-            )
-            return np.array([float(by_name.get(one, default)) for one in question.conditions])
+            by_name = found if isinstance(found, dict) else {}
+            other = default if isinstance(found, dict) else found
+            return np.array([float(by_name.get(one, other)) for one in question.conditions])
 
         person = {"lapse": values("lapse", 0.0)}
         for key, (default, low, high) in question.kind["parameters"].items():
@@ -56,22 +52,18 @@ class People:
     def answer(self, number: int, row: Mapping[str, Any]) -> dict[str, Any]:
         """Return a person's answer to a trial, as columns."""
         question = self.design.questions[row["question"]]
-        person = self.person(question.name, number)
+        person, at = self.person(question.name, number), question.conditions.index(row["tested"])
         rng = np.random.default_rng((self.seed, number, row["trial"], 7))
-        after_s, at = (
-            round(0.5 + float(rng.gamma(2.0, 0.6)), 3),
-            question.conditions.index(row["tested"]),
-        )
-        is_lapse, answer = rng.random() < person["lapse"][at], row["counted"]
-        others = [choice for choice in row["choices"] if choice != answer]
+        after_s, is_lapse = 0.5 + rng.gamma(2.0, 0.6), rng.random() < person["lapse"][at]
+        answer, choices = row["counted"], row["choices"]
         if question.paradigm == "rating":
             rated = person["rating"][at] + person["noise"][at] * rng.standard_normal()
             answer = round(float(np.clip(100.0 * rng.random() if is_lapse else rated, 0, 100)))
         elif is_lapse:
-            answer = row["choices"][rng.integers(len(row["choices"]))]
+            answer = choices[rng.integers(len(choices))]
         elif rng.random() >= chance(question, row, person):
-            answer = others[rng.integers(len(others))]
-        return {"answer": answer, "answered_after_s": after_s, "again": 0, "pauses": 0}
+            answer = [one for one in choices if one != answer][rng.integers(len(choices) - 1)]
+        return {"answer": answer, "answered_after_s": round(after_s, 3), "again": 0, "pauses": 0}
 
 
 def load_people(path: Path, design: Design) -> tuple[People, int]:

@@ -12,53 +12,40 @@ from typing import Any
 import numpy as np
 
 from audioflinger_hook import __version__
-from audioflinger_hook.study.curves import Curve, count
 from audioflinger_hook.study.design import BUILT_IN, DESIGN, Design, Question
-from audioflinger_hook.study.measure import Answered, estimate, measure, p_value
-from audioflinger_hook.study.records import DATA, TABLE, Record
+from audioflinger_hook.study.measure import Answered, Curve, count, estimate, measure, p_value
+from audioflinger_hook.study.records import DATA, TABLE, exclusion, register, write_table
 from audioflinger_hook.transform import TRANSFORM_VERSION
 from device.errors import UsageError
 
 
-def as_document(
-    design: Design, registered: Mapping[str, Any], people: Sequence[Record]
-) -> dict[str, Any]:
-    """Return all results, for JSON. The table `data/trials.csv` must be written before.
-
-    registered: the preregistration. UsageError: nobody has finished, or all are excluded.
-    """
-    excluded = {one.code: one.excluded for one in people if one.excluded}
-    kept = [one.rows for one in people if not one.excluded]
+def as_document(design: Design) -> dict[str, Any]:
+    """Return all results, for JSON, and write the table. UsageError: nobody can be analysed."""
+    registered, people = register(design), write_table(design)
+    why = {code: exclusion(design, one) for code, one in people.items()}
+    headers = [one.header for one in people.values()]
+    kept = [one.trials for code, one in people.items() if not why[code]]
     if not kept:
-        why = "; ".join(sorted({*excluded.values()})) or "nobody began"
-        raise UsageError(f"{design.folder} has no finished participant ({why}); run the study")
-    begun, when = min(str(one.header["begun"]) for one in people), str(registered["registered"])
-    table = sha256((design.folder / DATA / TABLE).read_bytes()).hexdigest()
+        told = "; ".join(sorted({*why.values()})) or "nobody began"
+        raise UsageError(f"{design.folder} has no finished participant ({told}); run the study")
+    when = registered["registered"]
+    versions = {"haptic-cushion": __version__, "transform": str(TRANSFORM_VERSION)}
+    versions |= {"Python": platform.python_version()}
+    versions |= {name: version(name) for name in ("numpy", "scipy")}
+    for path in (design.folder / DESIGN, design.folder / DATA / TABLE):
+        versions[f"SHA-256 of {path.name}"] = sha256(path.read_bytes()).hexdigest()
+    questions = {}
+    for name, question in design.questions.items():
+        own = [[r for r in rows if r["question"] == name and not r["practice"]] for rows in kept]
+        questions[name] = _results(question, own, design.study.seed)
     return {
         "title": design.study.title,
-        "simulated": bool(people[0].header["simulated"]),
-        "registered": when if when <= begun else None,
+        "simulated": bool(headers[0]["simulated"]),
+        "registered": when if when <= min(one["begun"] for one in headers) else None,
         "participants": {"wanted": design.study.participants, "began": len(people)},
-        "excluded": excluded,
-        "versions": {
-            f"SHA-256 of {DESIGN}": design.digest,
-            f"SHA-256 of {TABLE}": table,
-            "haptic-cushion": __version__,
-            "transform": str(TRANSFORM_VERSION),
-            "Python": platform.python_version(),
-            **{name: version(name) for name in ("numpy", "scipy")},
-        },
-        "questions": {
-            name: _results(
-                question,
-                [
-                    [row for row in rows if row["question"] == name and not row["practice"]]
-                    for rows in kept
-                ],
-                design.study.seed,
-            )
-            for name, question in design.questions.items()
-        },
+        "excluded": {code: one for code, one in why.items() if one},
+        "versions": versions,
+        "questions": questions,
     }
 
 
@@ -72,21 +59,19 @@ def page(document: Mapping[str, Any]) -> str:
 
 def _results(question: Question, answered: Sequence[Answered], seed: int) -> dict[str, Any]:
     measured = measure(question, answered)
-    each, values = measured.features, estimate(measured, seed)
-    ends = [[None if np.isnan(one) else one for one in row] for row in values.tolist()]
-    own = each.T.tolist() if each.ndim == 2 else [[]] * len(measured.names)
-    columns = zip(*ends, own, strict=True)
+    each, ends = measured.features, estimate(measured, seed).T.tolist()
+    own = each.T.tolist() if each.ndim == 2 else [[]] * len(ends)
     found: dict[str, Any] = {
         "paradigm": question.paradigm,
         "exploratory": question.exploratory,
         "participants": len(answered),
         "unit": question.kind["unit"],
         "p": p_value(measured),
-        "estimates": {
-            name: dict(zip(("value", "low", "high", "people"), one, strict=True))
-            for name, one in zip(measured.names, columns, strict=True)
-        },
+        "estimates": {},
     }
+    for name, (value, *interval), points in zip(measured.names, ends, own, strict=True):
+        low, high = (None if np.isnan(one) else one for one in interval)
+        found["estimates"][name] = {"value": value, "low": low, "high": high, "people": points}
     if question.paradigm == "identification":
         shares = each.sum(axis=0) / np.maximum(each.sum(axis=(0, 3))[..., None], 1.0)
         found["sounds"] = list(question.stimuli)
@@ -95,11 +80,7 @@ def _results(question: Question, answered: Sequence[Answered], seed: int) -> dic
         curve = Curve(question)
         counts = count((row for rows in answered for row in rows), curve.axes).sum(axis=1)
         found["curves"] = {
-            name: [
-                [x, yes / (yes + no)]
-                for x, (yes, no) in zip(curve.axes["varied"], row, strict=True)
-                if yes + no
-            ]
+            name: [[x, a / (a + b)] for x, (a, b) in zip(curve.xs, row, strict=True) if a + b]
             for name, row in zip(curve.tested, counts.tolist(), strict=True)
         }
     return found

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.study.curves import Curve, count
 from audioflinger_hook.study.design import Design, Question
+from audioflinger_hook.study.measure import Curve, count
 from audioflinger_hook.study.stimuli import Stimuli
 from audioflinger_hook.trials.page import AGAIN, Choice, screen
 from audioflinger_hook.trials.person import Interval, Person
@@ -126,6 +126,7 @@ class Participant:
 
         asked = screen(kind["screen"], title, **more, **about)
         played, answered = self._person.answer(intervals, asked)
-        for number, measured in enumerate(played, 1):
-            answered |= {f"{key}_{number}": value for key, value in vars(measured).items()}
-        return answered | self._stimuli.columns(row)
+        for number, (one, measured) in enumerate(zip(made, played, strict=True), 1):
+            columns = {**one.columns, **vars(measured)}
+            answered |= {f"{key}_{number}": value for key, value in columns.items()}
+        return answered

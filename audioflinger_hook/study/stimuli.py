@@ -29,7 +29,7 @@ from device.drive.exposure import wk_sections
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray, amplitude_to_db, db_to_amplitude
 
-WK, REFERENCE_HZ, PEAK_MAX = wk_sections(RATE_HZ), 80.0, 0.98
+WK, REFERENCE_HZ, PEAK_MAX_DB = wk_sections(RATE_HZ), 80.0, -0.2
 SILENT = 1e-6  # r.m.s. of a vibration that counts as none
 
 
@@ -57,19 +57,16 @@ class Stimuli:
         names = {name for one in questions for name in one.stimuli}
         self._sounds = {name: mixed(design.folder / name, None)[:, :2] for name in names}
         self._units: dict[tuple[str, str], FloatArray] = {}
-        highest_db: dict[tuple[str, str], float] = {}
-        for one in questions:
-            for pair in product(one.stimuli, one.conditions):
-                raised_db = one.highest_db if one.kind["varies"] == "level" else 0.0
-                highest_db[pair] = max(raised_db, highest_db.get(pair, 0.0))
-        for (stimulus, name), raised_db in highest_db.items():
+        most_db = design.study.level_db + max(one.highest_db for one in questions)
+        pairs = [pair for one in questions for pair in product(one.stimuli, one.conditions)]
+        for stimulus, name in dict.fromkeys(pairs):
             try:
                 unit = self._units[stimulus, name] = self._unit(stimulus, name)
             except UsageError as error:
                 mistakes.append(str(error))
                 continue
-            gain_db = design.study.level_db + design.conditions[name].gain_db + raised_db
-            over_db = amplitude_to_db(np.abs(unit).max() / PEAK_MAX) + gain_db
+            peak_db = amplitude_to_db(np.abs(unit).max()) + design.conditions[name].gain_db
+            over_db = most_db + peak_db - PEAK_MAX_DB
             self.lowered_db[stimulus] = max(over_db, self.lowered_db.get(stimulus, 0.0))
         if mistakes:
             raise MistakesError(*mistakes)
@@ -82,11 +79,6 @@ class Stimuli:
             shift = varied.get("delay", 0.0), varied.get("level", 0.0)
             found.append(self._interval(row["stimulus"], name, *shift, question.sound))
         return found
-
-    def columns(self, row: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the columns about what a trial plays."""
-        made = enumerate(self.of(row), 1)
-        return {f"{key}_{i}": value for i, one in made for key, value in one.columns.items()}
 
     def _make(
         self, stimulus: str, name: str, delay_ms: float, gain_db: float, heard: bool

@@ -64,8 +64,7 @@ def truth(question: Question, people: People, count: int = 4_000) -> NDArray[np.
 
     For preference and identification, it is computed from the mean probabilities of all answers.
     """
-    rng = np.random.default_rng((people.seed, 1))
-    drawn = [people.drawn(question.name, rng) for _ in range(count)]
+    drawn = [people.person(question.name, number) for number in range(count)]
     names, sounds = question.conditions, question.stimuli
     if question.paradigm in ("preference", "identification"):
         wins = np.zeros((1, len(names), len(names)))
