@@ -10,7 +10,7 @@ from pathlib import Path
 
 import soundfile
 
-from audioflinger_hook.cli.terminal import complain, progress_bar, warn
+from audioflinger_hook.cli.terminal import complain, progress_bar
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.study import report
 from audioflinger_hook.study.design import BUILT_IN, DESIGN, Design, MistakesError, load
@@ -32,6 +32,7 @@ from audioflinger_hook.trials.session import run as run_session
 from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError
 
+AGREES = ("yes", "I agree", "1"), ("no", "I do not agree", "2")
 THANKS = screen("text", "The end", "This was the last question. Thank you for taking part.")
 
 
@@ -65,11 +66,8 @@ def _new(options: argparse.Namespace) -> None:
 
 def _check(options: argparse.Namespace) -> None:
     design = load(options.folder)
-    stimuli = Stimuli(design)
+    Stimuli(design)  # tells its mistakes
     register(design)
-    for sound, lowered_db in stimuli.lowered_db.items():
-        if lowered_db > 0.05:
-            warn(f"{sound} is {lowered_db:.1f} dB under level_db, so that no peak is cut")
     trials, minutes, found = len(session(design, 0)), round(60.0 * design.hours, 1), {}
     for name in design.questions:
         with progress_bar(f"power of {name}") as progress:
@@ -89,8 +87,8 @@ def _check(options: argparse.Namespace) -> None:
 
 def _run(options: argparse.Namespace) -> None:
     design = load(options.folder)
-    register(design)
     stimuli = Stimuli(design)
+    register(design)
     if options.simulate:
         _simulate(design, options.simulate)
     else:
@@ -120,22 +118,17 @@ def _live(design: Design, stimuli: Stimuli, options: argparse.Namespace) -> None
         record = stack.enter_context(admit(design, code, ""))
         player = stack.enter_context(opened(options.device or "", time.monotonic))
         answers = stack.enter_context(closing(PageAnswers(player.stop, tell, time.time)))
-        number, agreed = record.header["number"], ("yes", "I agree", "1")
-        script, total = Script(design, number), len(session(design, number))
-        participant, consent = (
-            Participant(Person(player, answers), stimuli, total),
-            design.study.consent,
-        )
-        asked = "Consent", consent, agreed, ("no", "I do not agree", "2")
-        if not record.trials and participant.read(*asked) == "no":
+        number = record.header["number"]
+        total = len(session(design, number))
+        participant = Participant(Person(player, answers), stimuli, total)
+        if not record.trials and participant.read("Consent", design.study.consent, *AGREES) == "no":
             raise UsageError(f"participant {code} did not agree; no trial was played")
+        script = Script(design, number)
         try:
             list(run_session(record, script, participant.answer, participant.pause))
-            answers.show(THANKS)
         finally:
-            if len(record.trials) < total:
-                told = f"{len(record.trials)} of {total} trials are recorded; go on with"
-                print(f"{told} `cushion study run {design.folder} --participant {code}`")
+            print(f"{len(record.trials)} of {total} trials are recorded; the same command goes on")
+        answers.show(THANKS)
     print(f"participant {code} has finished")
 
 

@@ -1,5 +1,6 @@
 """Simulated people, whose true parameters are known, and the power of a design with them."""
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -8,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.study.design import Design, people_schema, why_not
+from audioflinger_hook.study.design import BUILT_IN, Design, people_schema, why_not
 from audioflinger_hook.study.measure import Measured, chance, measure, p_value
 from audioflinger_hook.study.session import Script
 from audioflinger_hook.trials.record import Rows
@@ -68,21 +69,18 @@ class People:
 
 def load_people(path: Path, design: Design) -> tuple[People, int]:
     """Return the people of a JSON file, and their number. UsageError: it has a mistake."""
-    questions = {n: people_schema(q.kind, q.conditions) for n, q in design.questions.items()}
-    most = design.study.participants
-    schema = {
-        "additionalProperties": False,
-        "properties": {
-            "people": {"type": "integer", "minimum": 1, "maximum": most},
-            "seed": {"type": "integer", "minimum": 0},
-            "questions": {"type": "object", "properties": questions, "additionalProperties": False},
-        },
-    }
+    schema, most = (
+        json.loads((BUILT_IN / "people.schema.json").read_text()),
+        design.study.participants,
+    )
+    schema["properties"]["people"] |= {"maximum": most, "default": most}
+    for name, question in design.questions.items():
+        own = people_schema(question.kind, question.conditions)
+        schema["properties"]["questions"]["properties"][name] = own
     document = people_file(path)
-    if problem := why_not(schema, document):
+    if problem := why_not(schema, document):  # which also adds the defaults
         raise UsageError(f"{path}: {problem}; see docs/study.md")
-    people = People(design, document.get("questions", {}), document.get("seed", 1))
-    return people, document.get("people", most)
+    return People(design, document["questions"], document["seed"]), document["people"]
 
 
 def simulated_study(people: People, name: str, count: int) -> Measured:

@@ -29,7 +29,7 @@ from device.drive.exposure import wk_sections
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray, amplitude_to_db, db_to_amplitude
 
-WK, REFERENCE_HZ, PEAK_MAX_DB = wk_sections(RATE_HZ), 80.0, -0.2
+WK, REFERENCE_HZ = wk_sections(RATE_HZ), 80.0
 SILENT = 1e-6  # r.m.s. of a vibration that counts as none
 
 
@@ -44,30 +44,29 @@ class Interval(NamedTuple):
 class Stimuli:
     """Makes what a design's trials play.
 
-    lowered_db: by sound, how much all its conditions are under `level_db`, so that none exceeds
-    full scale. MistakesError: why some vibrations cannot be made.
+    MistakesError: why some vibrations cannot be made.
     """
 
     def __init__(self, design: Design) -> None:
-        self.design, self.lowered_db, mistakes = design, dict[str, float](), list[str]()
-        self._interval, questions = lru_cache(64)(self._make), design.questions.values()
+        self.design, self._interval, mistakes = design, lru_cache(64)(self._make), list[str]()
+        questions = design.questions.values()
         delays_ms = [abs(one.delay_ms) for one in design.conditions.values()]
         offsets_ms = [abs(delay_ms) for one in questions for delay_ms in one.delays]
         self._pad = round(RATE_HZ * (0.5 * GAP_S + (max(delays_ms) + max(offsets_ms)) / 1e3))
-        names = {name for one in questions for name in one.stimuli}
-        self._sounds = {name: mixed(design.folder / name, None)[:, :2] for name in names}
+        pairs = [pair for one in questions for pair in product(one.stimuli, one.conditions)]
+        paths = {name: design.folder / name for name, _ in pairs}
+        self._sounds = {name: mixed(path, None)[:, :2] for name, path in paths.items()}
         self._units: dict[tuple[str, str], FloatArray] = {}
         most_db = design.study.level_db + max(one.highest_db for one in questions)
-        pairs = [pair for one in questions for pair in product(one.stimuli, one.conditions)]
         for stimulus, name in dict.fromkeys(pairs):
             try:
                 unit = self._units[stimulus, name] = self._unit(stimulus, name)
+                peak_db = amplitude_to_db(np.abs(unit).max()) + design.conditions[name].gain_db
+                if (over_db := most_db + peak_db) > 0.0:
+                    told = f"{stimulus!r} as {name!r} exceeds full scale by {over_db:.1f} dB"
+                    raise UsageError(f"{told}; reduce level_db, gain_db or highest_db")
             except UsageError as error:
                 mistakes.append(str(error))
-                continue
-            peak_db = amplitude_to_db(np.abs(unit).max()) + design.conditions[name].gain_db
-            over_db = most_db + peak_db - PEAK_MAX_DB
-            self.lowered_db[stimulus] = max(over_db, self.lowered_db.get(stimulus, 0.0))
         if mistakes:
             raise MistakesError(*mistakes)
 
@@ -87,7 +86,7 @@ class Stimuli:
         vibration = np.zeros((len(sound) + 2 * self._pad, 1), np.float32)
         if name in self.design.conditions:  # "none" is no condition in trials of a threshold
             condition, unit = self.design.conditions[name], self._units[stimulus, name]
-            gain_db += study.level_db + condition.gain_db - self.lowered_db[stimulus]
+            gain_db += study.level_db + condition.gain_db
             start = self._pad + round((delay_ms + condition.delay_ms) * RATE_HZ / 1e3)
             vibration[start : start + len(unit), 0] = db_to_amplitude(gain_db) * unit
         level = weighted_level(vibration[:, 0], len(sound))
