@@ -12,17 +12,9 @@ import soundfile
 
 from audioflinger_hook.cli.terminal import complain, progress_bar
 from audioflinger_hook.scenes import demo_scene
-from audioflinger_hook.study import report
+from audioflinger_hook.study import records, report
 from audioflinger_hook.study.design import BUILT_IN, DESIGN, Design, MistakesError, load
 from audioflinger_hook.study.people import load_people, power
-from audioflinger_hook.study.records import (
-    UNFINISHED,
-    admit,
-    exclusion,
-    records,
-    register,
-    write_table,
-)
 from audioflinger_hook.study.session import Participant, Script, session
 from audioflinger_hook.study.stimuli import Stimuli
 from audioflinger_hook.trials.page import PageAnswers, screen
@@ -67,7 +59,7 @@ def _new(options: argparse.Namespace) -> None:
 def _check(options: argparse.Namespace) -> None:
     design = load(options.folder)
     Stimuli(design)  # tells its mistakes
-    register(design)
+    records.register(design)
     trials, minutes, found = len(session(design, 0)), round(60.0 * design.hours, 1), {}
     for name in design.questions:
         with progress_bar(f"power of {name}") as progress:
@@ -88,22 +80,22 @@ def _check(options: argparse.Namespace) -> None:
 def _run(options: argparse.Namespace) -> None:
     design = load(options.folder)
     stimuli = Stimuli(design)
-    register(design)
+    records.register(design)
     if options.simulate:
         _simulate(design, options.simulate)
     else:
         _live(design, stimuli, options)
-    write_table(design)
+    records.write_table(design)
 
 
 def _simulate(design: Design, file: Path) -> None:
     """Let all people of a file take part who have not finished."""
     people, count = load_people(file, design)
     digest = sha256(file.read_bytes()).hexdigest()
-    begun = records(design, digest)
+    finished = records.finished(design, digest)
     for code in (f"S{number:03d}" for number in range(1, count + 1)):
-        if code not in begun or exclusion(design, begun[code]) == UNFINISHED:
-            with admit(design, code, digest) as record:
+        if code not in finished:
+            with records.admit(design, code, digest) as record:
                 number = record.header["number"]
                 list(run_session(record, Script(design, number), partial(people.answer, number)))
     print(f"{count} simulated people took part; next: cushion study report {design.folder}")
@@ -115,7 +107,7 @@ def _live(design: Design, stimuli: Stimuli, options: argparse.Namespace) -> None
         raise UsageError("--participant CODE is missing; give an anonymous code, such as P01")
     tell = partial(print, "the participant answers at", flush=True)
     with ExitStack() as stack:
-        record = stack.enter_context(admit(design, code, ""))
+        record = stack.enter_context(records.admit(design, code, ""))
         player = stack.enter_context(opened(options.device or "", time.monotonic))
         answers = stack.enter_context(closing(PageAnswers(player.stop, tell, time.time)))
         number = record.header["number"]

@@ -54,36 +54,45 @@ def register(design: Design) -> dict[str, Any]:
     return found
 
 
-def records(design: Design, people: str | None = None) -> dict[str, TrialRecord]:
+def records(design: Design) -> dict[str, TrialRecord]:
     """Return the closed records of all participants who have begun, by code.
 
-    people: SHA-256 of the file of simulated people, "" for real people, None for any. UsageError: a
-    record is damaged, open in another process, or of another design or other people.
+    UsageError: a record is damaged, open in another process, or of another design.
     """
     found = {}
     for path in sorted((design.folder / DATA).glob("*.jsonl")):
         if b"\n" in path.read_bytes():  # kill -9 may leave an empty file
-            with TrialRecord(path, design.digest) as record:
-                found[path.stem] = record
-            if people not in (None, record.header.get("simulated")):
-                told = "is of other people, real or simulated; move the data away first"
-                raise UsageError(f"{path} {told}")
+            with TrialRecord(path, design.digest) as found[path.stem]:
+                pass
     return found
+
+
+def finished(design: Design, people: str) -> list[str]:
+    """Return the codes of participants who have finished.
+
+    people: SHA-256 of the file of simulated people, "" for real people. UsageError: as of
+    `records`, or there are records of other people.
+    """
+    begun = records(design)
+    for record in begun.values():
+        if record.header["simulated"] != people:
+            told = "is of other people, real or simulated; move the data away first"
+            raise UsageError(f"{record.path} {told}")
+    return [code for code, record in begun.items() if exclusion(design, record) != UNFINISHED]
 
 
 def admit(design: Design, code: str, people: str) -> TrialRecord:
     """Return the open record of a new participant, or of one who goes on.
 
-    Its header has the participant's "number", from 0. people: as for `records`. UsageError: the
-    code is not allowed, participant or study has finished, or there are records of other people.
+    Its header has the participant's "number", from 0. people: as for `finished`, as are errors.
+    UsageError: the code is not allowed, or participant or study has finished.
     """
     if not re.fullmatch("[A-Za-z0-9_]{1,32}", code):
         raise UsageError(f"--participant={code!r} is no code; allowed: 1 to 32 letters and digits")
-    taken, most = records(design, people), design.study.participants
-    if code in taken and exclusion(design, taken[code]) != UNFINISHED:
+    taken, done, most = records(design), finished(design, people), design.study.participants
+    if code in done:
         raise UsageError(f"participant {code} has finished already; give a new code")
-    finished = [one for one in taken.values() if exclusion(design, one) != UNFINISHED]
-    if code not in taken and len(finished) >= most:
+    if code not in taken and len(done) >= most:
         told = f"the design ends after {most} participants, and all have finished"
         raise UsageError(f"{told}; see `cushion study report {design.folder}`")
     number = max((one.header["number"] + 1 for one in taken.values()), default=0)
