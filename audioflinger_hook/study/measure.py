@@ -22,7 +22,7 @@ from device.units import FloatArray
 
 RESAMPLES, LEVEL = 2_000, 0.95
 HALF, QUARTILE = 1.177410, 0.674490  # of a normal density half its height, of its area 75 %
-LAPSES = (0.0, 0.02, 0.06)
+LAPSES = (0.0, 0.01, 0.03)
 Answered = Sequence[Mapping[str, Any]]  # the recorded rows of a participant, practice left out
 
 
@@ -167,12 +167,8 @@ def _wins(question: Question, people: Sequence[Answered]) -> Measured:
 
 def _ratings(question: Question, people: Sequence[Answered]) -> Measured:
     names, hidden = question.conditions, (question.reference, question.anchor)
-    mean = np.array(
-        [
-            [np.mean([r["answer"] for r in rows if r["tested"] == n]) for n in names]
-            for rows in people
-        ]
-    )
+    rated = [[[r["answer"] for r in rows if r["tested"] == n] for n in names] for rows in people]
+    mean = np.mean(rated, axis=2)
     shown = [k for k, name in enumerate(names) if name not in hidden]
     first, others = shown[0], shown[1:] or [names.index(question.anchor)]
     over = mean[:, [first]] - mean[:, others]

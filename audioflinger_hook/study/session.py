@@ -4,7 +4,7 @@ A trial is the part of a row of the record that is known before its answer. `bui
 describes the columns.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from audioflinger_hook.study.design import Design, Question
 from audioflinger_hook.study.measure import Curve, count
 from audioflinger_hook.study.stimuli import Stimuli
 from audioflinger_hook.trials.page import AGAIN, Choice, screen
-from audioflinger_hook.trials.person import Interval, Person
+from audioflinger_hook.trials.person import Person
 
 PRACTICE_BELOW_DB = 2.0  # level of adaptive practice trials, below the strongest
 LABELS = {"1": "First", "2": "Second"}
@@ -113,19 +113,15 @@ class Participant:
         question, made = self._stimuli.design.questions[row["question"]], self._stimuli.of(row)
         kind, title = question.kind, question.ask or question.kind["ask"]
         about = {"done": row["trial"] - 1, "total": self._total, "practice": row["practice"]}
-        choices = [
-            (choice, LABELS.get(choice, Path(choice).stem.capitalize()), str(number))
-            for number, choice in enumerate(row["choices"], 1)
-        ]
+        labels = [LABELS.get(choice, Path(choice).stem.capitalize()) for choice in row["choices"]]
+        numbers = map(str, range(1, 1 + len(labels)))
+        choices = [*zip(row["choices"], labels, numbers, strict=True)]
         more = {"choices": choices, "also": [AGAIN], "labels": kind.get("labels", ())}
-
-        def intervals() -> Iterator[Interval]:
-            for number, one in enumerate(made, 1):
-                name = LABELS[str(number)] if len(made) > 1 else title
-                yield one.sound, one.vibration, screen("playing", name, **about)
-
+        titles = [*LABELS.values()] if len(made) > 1 else [title]
+        shown = [screen("playing", name, **about) for name in titles]
+        intervals = [(one.sound, one.vibration, now) for one, now in zip(made, shown, strict=True)]
         asked = screen(kind["screen"], title, **more, **about)
-        played, answered = self._person.answer(intervals, asked)
+        played, answered = self._person.answer(lambda: intervals, asked)
         for number, (one, measured) in enumerate(zip(made, played, strict=True), 1):
             columns = {**one.columns, **vars(measured)}
             answered |= {f"{key}_{number}": value for key, value in columns.items()}
