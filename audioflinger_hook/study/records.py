@@ -7,6 +7,8 @@ import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from hashlib import sha256
+from itertools import product
+from os.path import relpath
 from typing import Any
 
 import numpy as np
@@ -31,13 +33,13 @@ def register(design: Design) -> dict[str, Any]:
 
     UsageError: a file has changed since the first participant.
     """
-    folder, path, names = design.folder, design.folder / PREREGISTRATION, {DESIGN: 0}
+    folder, path = design.folder, design.folder / PREREGISTRATION
+    files = {folder / DESIGN}
     for question in design.questions.values():
-        methods = [design.conditions[name].method for name in question.conditions]
-        made = [vibration_file(folder, m, s) for m in methods for s in question.stimuli]
-        files = [*question.stimuli, *(str(one.relative_to(folder)) for one in made if one)]
-        names |= dict.fromkeys(files, 0)
-    sums = {name: sha256((folder / name).read_bytes()).hexdigest() for name in names}
+        for sound, name in product(question.stimuli, question.conditions):
+            made = vibration_file(folder, design.conditions[name].method, sound)
+            files |= {folder / sound, made or folder / sound}
+    sums = {relpath(one, folder): sha256(one.read_bytes()).hexdigest() for one in sorted(files)}
     try:
         found: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {"sha256": {}}
         changed = [name for name, one in sums.items() if found["sha256"].get(name) != one]
