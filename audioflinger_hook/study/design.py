@@ -19,6 +19,7 @@ import soundfile
 from audioflinger_hook.baselines import BASELINES
 from audioflinger_hook.config import toml_text
 from audioflinger_hook.config.profiles import PROFILES, parameters_of
+from audioflinger_hook.config.toml_text import Mistake, printable
 from audioflinger_hook.transform import HapticTransform
 from audioflinger_hook.trials.record import design_digest
 from device.errors import UsageError, not_installed
@@ -32,6 +33,7 @@ SCHEMAS = {STUDY: json.loads((BUILT_IN / "design.schema.json").read_text())}
 for _table in (CONDITION, QUESTION):
     SCHEMAS[_table] = SCHEMAS[STUDY]["properties"].pop(_table)["items"]
 PARADIGMS: dict[str, dict[str, Any]] = tomllib.loads((BUILT_IN / "paradigms.toml").read_text())
+DRAFT = "http://json-schema.org/draft-04/schema#"  # in later drafts, 2.0 is an integer
 NONE = "none"
 METHODS = BASELINES | {
     name: partial(HapticTransform, parameters=parameters_of(name)) for name in PROFILES
@@ -103,7 +105,7 @@ def seconds(path: Path) -> float:
     """Return the duration of a sound file; 0 if it cannot be read."""
     try:
         return float(soundfile.info(path).duration)
-    except (OSError, soundfile.LibsndfileError):
+    except (OSError, ValueError, soundfile.LibsndfileError):
         return 0.0
 
 
@@ -117,7 +119,7 @@ def load(folder: Path) -> Design:
     for table, rows in tables.items():
         if not (isinstance(rows, list) and rows and all(isinstance(row, dict) for row in rows)):
             problem, allowed = "is missing: there are zero trials", f"one or more [[{table}]]"
-            mistakes.append(toml_text.Mistake(table, lines.get(table, 0), "", problem, allowed))
+            mistakes.append(Mistake(table, lines.get(table, 0), "", problem, allowed))
             tables[table] = []
     methods = {str(row.get("name")): str(row.get("method")) for row in tables[CONDITION]}
     made: dict[str, dict[str, Any]] = {}
@@ -128,15 +130,11 @@ def load(folder: Path) -> Design:
             if [one.get("name") for one in rows].count(row.get("name", ())) > 1:
                 found.append(("name", "is a duplicate", ""))
             for key, problem, meant in found:
-                path = key if table == STUDY else f"{table}[{number}].{key}"
+                path = printable(key if table == STUDY else f"{table}[{number}].{key}")
                 line = lines.get(path) or lines.get(path.rpartition(".")[0]) or 0
                 allowed = keys[key]["description"] if key in keys else ", ".join(keys)
-                value = toml_text.printable(str(row.get(key, ""))) if key in keys else ""
-                mistakes.append(
-                    toml_text.Mistake(
-                        toml_text.printable(path), line, value, problem, allowed, meant
-                    )
-                )
+                value = printable(str(row.get(key, ""))) if key in keys else ""
+                mistakes.append(Mistake(path, line, value, problem, allowed, meant))
             if not keys.keys() & {key for key, *_ in found}:
                 values = {key: row.get(key, about.get("default")) for key, about in keys.items()}
                 kind = Question if table == QUESTION else SimpleNamespace
@@ -146,7 +144,7 @@ def load(folder: Path) -> Design:
     design = Design(folder, digest, study, made[CONDITION], made[QUESTION])
     if (hours := design.hours) > HOURS_MAX:
         problem, allowed = f"takes {hours:.1f} h for each participant", f"at most {HOURS_MAX:g} h"
-        mistakes.append(toml_text.Mistake("this study", 0, "", problem, allowed))
+        mistakes.append(Mistake("this study", 0, "", problem, allowed))
     if mistakes:
         raise MistakesError(*toml_text.listed(sorted(mistakes, key=lambda mistake: mistake.line)))
     return design
@@ -164,11 +162,8 @@ def _problems(
     for key, about in keys.items():
         wanted = about | more.get(key, {}) | paradigm["keys"].get(key, {})
         if key in row and (problem := why_not(wanted, row[key])):
-            yield (
-                key,
-                problem,
-                nearest(str(row[key]), wanted.get("enum", about.get("examples", ()))),
-            )
+            words = about.get("examples") or wanted.get("enum", ())
+            yield key, problem, nearest(str(row[key]), words)
         elif key in row:
             good[key] = row[key]
         elif key in (*schema["required"], *paradigm["hidden"]):
@@ -205,7 +200,7 @@ def why_not(schema: dict[str, Any], value: object) -> str:
         raise UsageError(not_installed(str(error.name), "study")) from error
     try:
         json.dumps(value, allow_nan=False)
-        fastjsonschema.compile(schema)(value)
+        fastjsonschema.compile({"$schema": DRAFT, **schema})(value)
     except fastjsonschema.JsonSchemaValueException as error:
         why = str(error.message).removeprefix(str(error.name))
         return f"{'.'.join(map(str, error.path[1:]))}{why}".strip()

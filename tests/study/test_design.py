@@ -21,6 +21,7 @@ MISTAKES = [  # what replaces what in a good design, the key, and words of the m
     ("repeats = 2", "repeats = 0", "question[1].repeats", "1 to 1000"),
     ("repeats = 2", "repeats = 3", "question[1].repeats", "multiple of 2"),
     ("repeats = 2", "repeats = 2\noffsets_ms = [0, 1]", "question[1].offsets_ms", "3 or more"),
+    ("repeats = 2", "repeats = 2.0", "question[1].repeats", "must be integer"),
     ("level_db = -40", "level_db = nan", "level_db", "-60 to 0"),
     ('name = "b"', 'name = "a"', "condition[2].name", "duplicate"),
     ('["a", "b", "c"]', '["a", "b", "b"]', "question[1].conditions", "unique"),
