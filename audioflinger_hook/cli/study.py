@@ -4,6 +4,7 @@ import argparse
 import json
 import time
 from contextlib import ExitStack, closing
+from datetime import UTC, datetime
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
@@ -40,6 +41,10 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
 def _new(options: argparse.Namespace) -> None:
     folder = options.folder
     try:
@@ -59,7 +64,7 @@ def _new(options: argparse.Namespace) -> None:
 def _check(options: argparse.Namespace) -> None:
     design = load(options.folder)
     Stimuli(design)  # tells its mistakes
-    records.register(design)
+    records.register(design, _now())
     trials, minutes, found = len(session(design, 0)), round(60.0 * design.hours, 1), {}
     for name in design.questions:
         with progress_bar(f"power of {name}") as progress:
@@ -80,7 +85,7 @@ def _check(options: argparse.Namespace) -> None:
 def _run(options: argparse.Namespace) -> None:
     design = load(options.folder)
     stimuli = Stimuli(design)
-    records.register(design)
+    records.register(design, _now())
     if options.simulate:
         _simulate(design, options.simulate)
     else:
@@ -95,7 +100,7 @@ def _simulate(design: Design, file: Path) -> None:
     finished = records.finished(design, digest)
     for code in (f"S{number:03d}" for number in range(1, count + 1)):
         if code not in finished:
-            with records.admit(design, code, digest) as record:
+            with records.admit(design, code, digest, _now()) as record:
                 number = record.header["number"]
                 list(run_session(record, Script(design, number), partial(people.answer, number)))
     print(f"{count} simulated people took part; next: cushion study report {design.folder}")
@@ -107,7 +112,7 @@ def _live(design: Design, stimuli: Stimuli, options: argparse.Namespace) -> None
         raise UsageError("--participant CODE is missing; give an anonymous code, such as P01")
     tell = partial(print, "the participant answers at", flush=True)
     with ExitStack() as stack:
-        record = stack.enter_context(records.admit(design, code, ""))
+        record = stack.enter_context(records.admit(design, code, "", _now()))
         player = stack.enter_context(opened(options.device or "", time.monotonic))
         answers = stack.enter_context(closing(PageAnswers(player.stop, tell, time.time)))
         number = record.header["number"]
@@ -126,7 +131,8 @@ def _live(design: Design, stimuli: Stimuli, options: argparse.Namespace) -> None
 
 def _report(options: argparse.Namespace) -> None:
     design = load(options.folder)
-    document = report.as_document(design)
+    registered = records.register(design, _now())["registered"]
+    document = report.as_document(design, registered)
     if options.json:
         print(json.dumps(document, indent=2))
         return

@@ -153,7 +153,7 @@ def load(folder: Path) -> Design:
 def _problems(
     schema: Mapping[str, Any], row: Mapping[str, Any], methods: Mapping[str, str], folder: Path
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield each wrong key of a row, why, and what was probably meant. methods: by condition."""
+    """Yield each wrong key of a row, why, and the most similar name. methods: by condition."""
     keys, good = schema["properties"], dict[str, Any]()
     for key in row.keys() - keys.keys():
         yield key, "is an unknown key", nearest(key, keys)

@@ -5,7 +5,6 @@ import io
 import json
 import re
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from hashlib import sha256
 from itertools import product
 from os.path import relpath
@@ -24,14 +23,10 @@ DATA, TABLE, CODEBOOK, PREREGISTRATION = "data", "trials.csv", "codebook.md", "p
 UNFINISHED = "did not finish"
 
 
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")
-
-
-def register(design: Design) -> dict[str, Any]:
+def register(design: Design, now: str) -> dict[str, Any]:
     """Return the preregistration: SHA-256 of all files of the design; write it if it is new.
 
-    UsageError: a file has changed since the first participant.
+    now: time in UTC. UsageError: a file has changed since the first participant.
     """
     folder, path = design.folder, design.folder / PREREGISTRATION
     files = {folder / DESIGN}
@@ -51,7 +46,7 @@ def register(design: Design) -> dict[str, Any]:
             f"without {DATA} and {PREREGISTRATION}: a changed design is another study"
         )
     if changed:
-        found = {"sha256": sums, "version": __version__, "registered": _now()}
+        found = {"sha256": sums, "version": __version__, "registered": now}
         write_bytes_atomically(path, f"{json.dumps(found, indent=2)}\n".encode())
     return found
 
@@ -83,7 +78,7 @@ def finished(design: Design, people: str) -> list[str]:
     return [code for code, record in begun.items() if exclusion(design, record) != UNFINISHED]
 
 
-def admit(design: Design, code: str, people: str) -> TrialRecord:
+def admit(design: Design, code: str, people: str, now: str) -> TrialRecord:
     """Return the open record of a new participant, or of one who goes on.
 
     Its header has the participant's "number", from 0. people: as for `finished`, as are errors.
@@ -98,7 +93,7 @@ def admit(design: Design, code: str, people: str) -> TrialRecord:
         told = f"the design ends after {most} participants, and all have finished"
         raise UsageError(f"{told}; see `cushion study report {design.folder}`")
     number = max((one.header["number"] + 1 for one in taken.values()), default=0)
-    header = {"participant": code, "number": number, "simulated": people, "begun": _now()}
+    header = {"participant": code, "number": number, "simulated": people, "begun": now}
     return TrialRecord(design.folder / DATA / f"{code}.jsonl", design.digest, header=header)
 
 

@@ -14,21 +14,23 @@ import numpy as np
 from audioflinger_hook import __version__
 from audioflinger_hook.study.design import BUILT_IN, DESIGN, Design, Question
 from audioflinger_hook.study.measure import Answered, Curve, count, estimate, measure, p_value
-from audioflinger_hook.study.records import DATA, TABLE, exclusion, register, write_table
+from audioflinger_hook.study.records import DATA, TABLE, exclusion, write_table
 from audioflinger_hook.transform import TRANSFORM_VERSION
 from device.errors import UsageError
 
 
-def as_document(design: Design) -> dict[str, Any]:
-    """Return all results, for JSON, and write the table. UsageError: nobody can be analysed."""
-    registered, people = register(design), write_table(design)
+def as_document(design: Design, registered: str) -> dict[str, Any]:
+    """Return all results, for JSON, and write the table.
+
+    registered: time of the preregistration. UsageError: no participant can be analysed.
+    """
+    people = write_table(design)
     why = {code: exclusion(design, one) for code, one in people.items()}
-    headers = [one.header for one in people.values()]
     kept = [one.trials for code, one in people.items() if not why[code]]
     if not kept:
         told = "; ".join(sorted({*why.values()})) or "nobody began"
         raise UsageError(f"{design.folder} has no finished participant ({told}); run the study")
-    when = registered["registered"]
+    begun = min(one.header["begun"] for one in people.values())
     versions = {"haptic-cushion": __version__, "transform": str(TRANSFORM_VERSION)}
     versions |= {"Python": platform.python_version()}
     versions |= {name: version(name) for name in ("numpy", "scipy")}
@@ -40,8 +42,8 @@ def as_document(design: Design) -> dict[str, Any]:
         questions[name] = _results(question, own, design.study.seed)
     return {
         "title": design.study.title,
-        "simulated": bool(headers[0]["simulated"]),
-        "registered": when if when <= min(one["begun"] for one in headers) else None,
+        "simulated": any(one.header["simulated"] for one in people.values()),
+        "registered": registered if registered <= begun else None,
         "participants": {"wanted": design.study.participants, "began": len(people)},
         "excluded": {code: one for code, one in why.items() if one},
         "versions": versions,
