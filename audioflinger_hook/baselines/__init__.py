@@ -1,13 +1,6 @@
 """Simple methods of converting sound to vibration, for comparison with the transform.
 
-    `band_pass`: the frequencies of the sound from 50 to 250 Hz.
-    `envelope`: a vibration near 150 Hz with the envelope of the sound.
-    `centroid`: one sine at the spectral centroid of the sound.
-    `octave_fold`: two peaks of the spectrum, lowered by octaves.
-    `constant`: the same sine for any sound.
-
-Each of these modules has a class `Method`, a subclass of `stages.Baseline`. The benchmarks and
-`cushion study` use them.
+Each module has a class `Method`, a subclass of `stages.Baseline`.
 """
 
 from audioflinger_hook.baselines import band_pass, centroid, constant, envelope, octave_fold

@@ -22,7 +22,7 @@ from audioflinger_hook.trials.page import PageAnswers, screen
 from audioflinger_hook.trials.person import Person, TerminalAnswers
 from audioflinger_hook.trials.player import opened
 from audioflinger_hook.trials.record import TrialRecord, design_digest
-from audioflinger_hook.trials.session import run as answered
+from audioflinger_hook.trials.record import run as answered
 from audioflinger_hook.trials.simulated import people_file
 from device.errors import UsageError
 from device.values import counted

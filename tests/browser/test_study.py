@@ -37,12 +37,11 @@ ASKED = "Which vibration fits the sound better?"
 CONDITIONS = {"own": "", "late": f"delay_ms = {LATE_MS}", "weak": f"gain_db = {WEAK_DB}"}
 DESIGN = (
     'title = "Three"\nparticipants = 2\nlevel_db = -30\nblock = 10\nfastest_s = 0\n'
-    '[[stimulus]]\nname = "noise"\nfile = "noise.wav"\n'
     + "".join(
         f'[[condition]]\nname = "{name}"\nmethod = "noise.wav"\n{more}\n'
         for name, more in CONDITIONS.items()
     )
-    + '[[question]]\nname = "fits"\nparadigm = "preference"\nstimuli = ["noise"]\n'
+    + '[[question]]\nname = "fits"\nparadigm = "preference"\nstimuli = ["noise.wav"]\n'
     f"conditions = {[*CONDITIONS]}\nrepeats = 6\n"
 )
 
@@ -123,7 +122,7 @@ def test_a_study_of_three_conditions_through_the_page_and_the_daemon(chromium, t
                 session.press(ASKED, "First" if number % 2 else "Second")
         session.page.locator("h1", has_text="The end").wait_for()
         assert session.process.wait(20.0) == 0
-    rows = [json.loads(line) for line in (study / "data/0000-P01.jsonl").read_text().splitlines()]
+    rows = [json.loads(line) for line in (study / "data/P01.jsonl").read_text().splitlines()]
     assert [row["trial"] for row in rows[1:]] == list(range(1, TRIALS + 1))
     wanted = ["2", "1"] * (TRIALS // 2)
     wanted[4] = rows[5]["choices"][1]
@@ -181,7 +180,7 @@ def opened_report(chromium, path, width, theme="light"):
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory):
     folder = tmp_path_factory.mktemp("simulated")
-    more = "fastest_s = 0\nreference_share = 1"
+    more = "reference_share = 1"
     make_study(folder, *QUESTIONS, participants=3, more=more)
     (folder / "people.json").write_text(json.dumps({"people": 3, "questions": TRUTHS}))
     assert call("study", "run", folder, "--simulate", folder / "people.json").code == 0

@@ -20,8 +20,7 @@ from audioflinger_hook.fit.session import FitSession, FittedPerson, tones
 from audioflinger_hook.service.status import ExposureFigures
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.mapping import VibrationMapping
-from audioflinger_hook.trials.record import Rows, TrialRecord
-from audioflinger_hook.trials.session import run
+from audioflinger_hook.trials.record import Rows, TrialRecord, run
 from device.errors import UsageError, WriteError
 from tests.support.commands import call, document, refused, start
 from tests.support.signals import tone

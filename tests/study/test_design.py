@@ -1,8 +1,10 @@
 """A design is checked before the first participant: every mistake is told, all at once."""
 
+import numpy as np
 import pytest
+import soundfile
 
-from audioflinger_hook.study.design import check
+from audioflinger_hook.study.design import MistakesError, load
 from tests.support.commands import call
 from tests.support.studies import QUESTIONS, make_study
 
@@ -13,30 +15,39 @@ MISTAKES = [  # what replaces what in a good design, the key, and words of the m
         "question[1].paradigm",
         "mean preference",
     ),
-    ('file = "x.wav"', 'file = "gone.wav"', "stimulus[1].file", "is not a file"),
-    ('file = "x.wav"', 'file = "design.toml"', "stimulus[1].file", "is not a sound file"),
+    ('["x.wav", "y.wav"]', '["gone.wav"]', "question[1].stimuli", "'gone.wav'"),
+    ('["x.wav", "y.wav"]', '["design.toml"]', "question[1].stimuli", "not such a file"),
+    ('["x.wav", "y.wav"]', "[]", "question[1].stimuli", "at least 1"),
     ("repeats = 2", "repeats = 0", "question[1].repeats", "1 to 1000"),
-    ("repeats = 2", "repeats = 3", "question[1].repeats", "is odd"),
-    ("repeats = 2", "repeats = 1000\noffsets_ms = [0, 1]", "question[1].offsets_ms", "3 or more"),
+    ("repeats = 2", "repeats = 3", "question[1].repeats", "multiple of 2"),
+    ("repeats = 2", "repeats = 2\noffsets_ms = [0, 1]", "question[1].offsets_ms", "3 or more"),
+    ("repeats = 2", "repeats = 2.0", "question[1].repeats", "must be integer"),
+    ("level_db = -40", "level_db = nan", "level_db", "-60 to 0"),
     ('name = "b"', 'name = "a"', "condition[2].name", "duplicate"),
-    ('["a", "b", "c"]', '["a", "b", "b"]', "question[1].conditions", "duplicate 'b'"),
+    ('["a", "b", "c"]', '["a", "b", "b"]', "question[1].conditions", "unique"),
     ('["a", "b", "c"]', '["a", "d"]', "question[1].conditions", "'d'"),
-    ('["a", "b", "c"]', "[]", "question[1].conditions", "2 or more"),
-    ('stimuli = ["x", "y"]', "stimuli = []", "question[1].stimuli", "1 or more"),
+    ('["a", "b", "c"]', '["a"]', "question[1].conditions", "at least 2"),
     ('method = "envelope"', 'method = "envelop"', "condition[2].method", "mean envelope"),
-    ('method = "envelope"', 'method = "v/{stimulus}.wav"', "condition[2].method", "v/y.wav"),
+    ('method = "envelope"', 'method = "v/{stimulus}.wav"', "question[1].conditions", "v/y.wav"),
+    ("repeats = 2", "repeats = 2\neffect = {worths = 1}", "question[1].effect", "worths"),
+    ("repeats = 2", "repeats = 2\neffect = {worth = {d = 1}}", "question[1].effect", "'d'"),
     ('title = "t"', 'titel = "t"', "titel", "mean title"),
     ('title = "t"', "", "title", "is missing"),
 ]
 
 
 def changed(tmp_path, *pairs, paradigms=("preference",)):
+    """Return the mistakes of a design in which texts are replaced."""
     make_study(tmp_path, *paradigms)
     text = (tmp_path / "design.toml").read_text()
     for old, new in pairs:
         text = text.replace(old, new, 1)
     (tmp_path / "design.toml").write_text(text)
-    return [(one.key, str(one)) for one in check(tmp_path)[1]]
+    try:
+        load(tmp_path)
+    except MistakesError as error:
+        return [(one.key, str(one)) for one in error.args]
+    return []
 
 
 @pytest.mark.parametrize(("old", "new", "key", "words"), MISTAKES)
@@ -52,19 +63,25 @@ def test_each_paradigm_has_a_design_without_mistakes(tmp_path):
 def test_all_mistakes_are_told_at_once_and_the_exit_code_is_2(tmp_path):
     pairs = [
         ('paradigm = "preference"', 'paradigm = "no"'),
-        ('file = "x.wav"', 'file = "gone.wav"'),
+        ('["x.wav", "y.wav"]', '["gone.wav"]'),
         ("repeats = 2", "repeats = 0"),
         ('name = "b"', 'name = "a"'),
         ("repeats = 6", "repeats = 1000\nreferense = 1"),
         ("level_db = -40", "level_db = -40\nanswer_s = 60.0"),
     ]
-    keys = {key for key, _ in changed(tmp_path, *pairs, paradigms=("preference", "synchrony"))}
+    told = changed(tmp_path, *pairs, paradigms=("preference", "synchrony"))
+    keys = {key for key, _ in told}
     assert keys >= {
-        *("question[1].paradigm", "stimulus[1].file", "question[1].repeats", "condition[2].name"),
+        *(
+            "question[1].paradigm",
+            "question[1].stimuli",
+            "question[1].repeats",
+            "condition[2].name",
+        ),
         *("question[2].referense", "this study"),
     }
     done = call("study", "check", tmp_path)
-    assert (done.code, len(done.stderr.splitlines())) == (2, len(check(tmp_path)[1]))
+    assert (done.code, len(done.stderr.splitlines())) == (2, len(told))
 
 
 def test_a_study_of_more_than_8_hours_is_refused(tmp_path):
@@ -75,10 +92,7 @@ def test_a_study_of_more_than_8_hours_is_refused(tmp_path):
 
 
 def test_a_condition_that_gives_no_vibration_for_a_sound_is_told(tmp_path):
-    changed(tmp_path, ('name = "x"\nfile = "x.wav"', 'name = "x"\nfile = "low.wav"'))
-    import numpy as np
-    import soundfile
-
+    changed(tmp_path, ('"x.wav"', '"low.wav"'))
     soundfile.write(tmp_path / "low.wav", np.sin(np.arange(9_600) * 0.013), 48_000)
     silent = call("study", "check", tmp_path, "--no-power")
     assert silent.code == 2

@@ -20,15 +20,13 @@ def weighted_db(vibration):
     return 10 * np.log10(np.sum(sosfilt(wk_sections(48_000), vibration[:, 0]) ** 2))
 
 
-def made(stimuli, question, *conditions, stimulus="x", offset_ms=0.0, gain_db=0.0):
-    """Return what the first interval of a trial plays."""
-    row = {"question": question, "stimulus": stimulus, "offset_ms": offset_ms}
-    for i, name in enumerate(conditions, 1):
-        row |= {f"condition_{i}": name, f"gain_db_{i}": gain_db}
-    return stimuli.of(row)[0]
+def made(stimuli, question, *conditions, stimulus="x.wav", varied=0.0):
+    """Return what the first interval of a trial plays, in which the first condition is tested."""
+    row = {"question": question, "stimulus": stimulus, "varied": varied, "tested": conditions[0]}
+    return stimuli.of(row | {f"condition_{i}": name for i, name in enumerate(conditions, 1)})[0]
 
 
-@pytest.mark.parametrize("level_db", [-50, -40, 0])
+@pytest.mark.parametrize("level_db", [-50, -30])
 def test_all_conditions_of_a_trial_have_the_same_weighted_level(tmp_path, level_db):
     more = '[[condition]]\nname = "d"\nmethod = "cinema"\ndelay_ms = 40'
     design = make_study(tmp_path, "preference")
@@ -42,17 +40,25 @@ def test_all_conditions_of_a_trial_have_the_same_weighted_level(tmp_path, level_
     levels = [weighted_db(one.vibration) for one in found]
     assert max(levels) - min(levels) < MATCHED_DB
     assert max(np.abs(one.vibration).max() for one in found) <= 1.0
-    assert (stimuli.lowered_db["x"] > 1.0) == (level_db == 0)
-    if level_db:
-        assert [one.weighted_db for one in found] == pytest.approx([level_db] * 4, abs=MATCHED_DB)
-    assert found[0].digest == sha256(found[0].vibration.tobytes()).hexdigest()
-    assert found[0].digest != found[3].digest
+    assert [one.columns["weighted_db"] for one in found] == pytest.approx(
+        [level_db] * 4, abs=MATCHED_DB
+    )
+    assert found[0].columns["vibration_sha256"] == sha256(found[0].vibration.tobytes()).hexdigest()
+    assert len({one.columns["vibration_sha256"] for one in found}) == 4
     assert design.digest != stimuli.design.digest
+
+
+def test_a_level_that_exceeds_full_scale_is_refused(tmp_path):
+    make_study(tmp_path, "preference")
+    text = (tmp_path / "design.toml").read_text()
+    (tmp_path / "design.toml").write_text(text.replace("level_db = -40", "level_db = 0"))
+    with pytest.raises(UsageError, match="exceeds full scale by"):
+        Stimuli(load(tmp_path))
 
 
 def test_an_offset_delays_the_vibration_by_exactly_that_time(tmp_path):
     stimuli = Stimuli(make_study(tmp_path, "synchrony"))
-    found = {ms: made(stimuli, "synchrony", "a", offset_ms=ms) for ms in (-200.0, 0.0, 120.0)}
+    found = {ms: made(stimuli, "synchrony", "a", varied=ms) for ms in (-200.0, 0.0, 120.0)}
     for ms, one in found.items():
         delayed = np.roll(found[0.0].vibration, round(48 * ms), axis=0)
         assert np.array_equal(delayed, one.vibration)
@@ -61,23 +67,32 @@ def test_an_offset_delays_the_vibration_by_exactly_that_time(tmp_path):
 
 def test_adaptive_levels_and_silence_are_what_they_say(tmp_path):
     stimuli = Stimuli(make_study(tmp_path, "threshold"))
-    assert made(stimuli, "threshold", "a", "none", gain_db=-12.0).weighted_db == pytest.approx(
-        -52.0, abs=0.1
-    )
-    silent = made(stimuli, "threshold", "none", "a")
-    assert silent.weighted_db is None
+    assert made(stimuli, "threshold", "a", "none", varied=-12.0).columns[
+        "weighted_db"
+    ] == pytest.approx(-52.0, abs=0.1)
+    row = {"question": "threshold", "stimulus": "x.wav", "varied": -12.0, "tested": "a"}
+    silent = stimuli.of(row | {"condition_1": "none", "condition_2": "a"})[0]
+    assert silent.columns["weighted_db"] is None
     assert not silent.vibration.any()
-    with pytest.raises(UsageError, match="exceed full scale"):
-        made(stimuli, "threshold", "a", "none", gain_db=80.0)
 
 
 def test_a_vibration_may_be_a_file_of_the_sounds_length(tmp_path):
     make_study(tmp_path, "preference")
     text = (tmp_path / "design.toml").read_text()
     (tmp_path / "design.toml").write_text(text.replace('"envelope"', '"v-{stimulus}.wav"'))
-    for name, frames in (("x", 9_600), ("y", 5_000)):
+    for name, frames in (("x", 9_600), ("y", 9_600)):
         soundfile.write(tmp_path / f"v-{name}.wav", np.sin(np.arange(frames) / 90), 48_000)
-    stimuli = Stimuli(load(tmp_path))
-    assert made(stimuli, "preference", "b", "a").weighted_db == pytest.approx(-40, abs=0.01)
+    one = made(Stimuli(load(tmp_path)), "preference", "b", "a")
+    assert one.columns["weighted_db"] == pytest.approx(-40, abs=0.01)
+    soundfile.write(tmp_path / "v-y.wav", np.sin(np.arange(5_000) / 90), 48_000)
     with pytest.raises(UsageError, match="make both equal"):
-        made(stimuli, "preference", "b", "a", stimulus="y")
+        Stimuli(load(tmp_path))
+
+
+def test_masking_noise_is_heard_at_its_level_and_not_felt(tmp_path):
+    quiet = made(Stimuli(make_study(tmp_path, "preference")), "preference", "a", "b")
+    stimuli = Stimuli(make_study(tmp_path, "preference", more="masking_db = -30"))
+    masked = made(stimuli, "preference", "a", "b")
+    noise = masked.sound - quiet.sound
+    assert 10 * np.log10(np.mean(noise**2)) == pytest.approx(-30, abs=0.1)
+    assert np.array_equal(masked.vibration, quiet.vibration)

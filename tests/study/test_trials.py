@@ -1,13 +1,12 @@
 """Order and sides of trials are balanced exactly, in each participant's session."""
 
 from collections import Counter
-from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from audioflinger_hook.study.trials import session
-from tests.support.studies import QUESTIONS, make_study
+from audioflinger_hook.study.session import session
+from tests.support.studies import QUESTIONS, changed, make_study
 
 
 def conditions(row):
@@ -20,15 +19,15 @@ def conditions(row):
 def test_each_condition_is_first_in_half_and_each_answer_left_in_half_of_the_trials(
     tmp_path, paradigm, repeats, participant
 ):
-    design = make_study(tmp_path, paradigm)
-    question = replace(design.questions[paradigm], repeats=repeats)
-    trials = session(replace(design, questions={paradigm: question}), participant)
+    design = changed(make_study(tmp_path, paradigm), paradigm, repeats=repeats)
+    question = design.questions[paradigm]
+    trials = session(design, participant)
     kinds: dict[object, list[dict[str, Any]]] = {}
     for row in trials:
         if not row["practice"]:
-            key = row["stimulus"], frozenset(conditions(row)), row["offset_ms"]
+            key = row["stimulus"], frozenset(conditions(row)), row["varied"]
             kinds.setdefault(key, []).append(row)
-    assert len(kinds) == question.trials / repeats
+    assert len(kinds) == len(question.pairs) * 2 * len(question.delays)
     for of_kind in kinds.values():
         assert len(of_kind) == repeats
         left = Counter(row["choices"][0] for row in of_kind)

@@ -1,5 +1,6 @@
 """Studies in a folder, and simulated ones in memory."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,9 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from audioflinger_hook.study.design import Design, Question, load
-from audioflinger_hook.study.paradigms import bradley_terry, chances, information
+from audioflinger_hook.study.measure import bradley_terry, chance, information
 from audioflinger_hook.study.people import People
-from audioflinger_hook.study.trials import balanced
-from audioflinger_hook.trials.simulated import with_lapses
+from audioflinger_hook.study.session import balanced
 
 RATE = 48_000
 QUESTIONS = {
@@ -37,12 +37,12 @@ TRUTHS = {
 def design_text(*paradigms: str, participants: int = 20, more: str = "") -> str:
     """Return a design with a question of each paradigm, named after it."""
     text = f'title = "t"\nparticipants = {participants}\nlevel_db = -40\n{more}\n'
-    for name in "xy":
-        text += f'[[stimulus]]\nname = "{name}"\nfile = "{name}.wav"\n'
     for name, method in (("a", "band-pass"), ("b", "envelope"), ("c", "octave-fold")):
         text += f'[[condition]]\nname = "{name}"\nmethod = "{method}"\n'
     for name in paradigms:
-        text += f'[[question]]\nname = "{name}"\nparadigm = "{name}"\nstimuli = ["x", "y"]\n'
+        text += (
+            f'[[question]]\nname = "{name}"\nparadigm = "{name}"\nstimuli = ["x.wav", "y.wav"]\n'
+        )
         text += QUESTIONS[name] + "\n"
     return text
 
@@ -64,29 +64,24 @@ def truth(question: Question, people: People, count: int = 4_000) -> NDArray[np.
 
     For preference and identification, it is computed from the mean probabilities of all answers.
     """
-    rng = np.random.default_rng((people.seed, 1))
-    drawn = [people.drawn(question.name, rng) for _ in range(count)]
-    names, sounds = list(question.conditions), list(question.stimuli)
+    drawn = [people.person(question.name, number) for number in range(count)]
+    names, sounds = question.conditions, question.stimuli
     if question.paradigm in ("preference", "identification"):
         wins = np.zeros((1, len(names), len(names)))
         confusion = np.zeros((1, len(names), len(sounds), len(sounds)))
-        rows = {
-            (r["stimulus"], r["condition_1"], r.get("condition_2")): r
-            for r in balanced(question, 0)
-        }
+        rows = {(r["stimulus"], r["tested"], r["against"]): r for r in balanced(question, 0)}
         for row in rows.values():
-            p = np.mean(
-                [with_lapses(chances(question, row, o), float(o["lapse"][0])) for o in drawn],
-                axis=0,
-            )
-            at = names.index(row["condition_1"])
-            for choice, share in zip(row["choices"], p, strict=True):
-                if question.paradigm == "identification":
-                    place = sounds.index(row["stimulus"]), sounds.index(choice)
-                    confusion[0, at, *place] += share
-                else:
-                    pair = at, names.index(row["condition_2"])
-                    wins[0, *(pair if choice == "1" else pair[::-1])] += share
+            lapse, size = drawn[0]["lapse"][0], len(row["choices"])
+            p = np.mean([chance(question, row, one) for one in drawn]) * (1 - lapse) + lapse / size
+            at = names.index(row["tested"])
+            if question.paradigm == "identification":
+                sound = sounds.index(row["stimulus"])
+                confusion[0, at, sound] += (1 - p) / (size - 1)
+                confusion[0, at, sound, sound] += p - (1 - p) / (size - 1)
+            else:
+                other = names.index(row["against"])
+                wins[0, at, other] += p
+                wins[0, other, at] += 1 - p
         is_wins = question.paradigm == "preference"
         return np.asarray((bradley_terry(wins) if is_wins else information(confusion))[0])
     if question.paradigm == "rating":
@@ -96,10 +91,16 @@ def truth(question: Question, people: People, count: int = 4_000) -> NDArray[np.
             + one["lapse"] * 50.0
             for one in drawn
         ]
-        return np.asarray(np.mean(rated, axis=(0, 1)))
+        mean = np.mean(rated, axis=(0, 1))
+        return np.append(mean, mean[1] - mean[2])  # b over the anchor c
     places = [names.index(pair[0]) for pair in question.pairs]
     place, jnd = (
         np.mean([one[key] for one in drawn], axis=0)[places] for key in question.kind["parameters"]
     )
     is_window = question.paradigm == "synchrony" and question.judgement == "simultaneity"
     return np.concatenate([place, jnd, *([place - jnd, place + jnd] if is_window else ())])
+
+
+def changed(design: Design, name: str, **keys: object) -> Design:
+    """Return a design of one question only, with other values of some keys."""
+    return replace(design, questions={name: Question(**vars(design.questions[name]) | keys)})

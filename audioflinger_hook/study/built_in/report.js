@@ -4,6 +4,10 @@ const report = JSON.parse(document.getElementById("document").textContent);
 const main = document.getElementById("report");
 const FEW = 8; // under so many people, a bootstrap is too optimistic
 const WIDTH = Math.min(496, innerWidth - 40); // a phone has figures of its own width, so that their text stays readable
+const TESTED = { // what the score of a participant is, whose mean a t test compares with 0
+  preference: "The first condition against all others", rating: "The first condition against the others", synchrony: "PSS against 0",
+  threshold: "The first condition against the others", equal: "Equal strength against 0 dB", identification: "Right answers against guessing",
+};
 const LEFT = 8, RIGHT = 14, ROW = 42, BOTTOM = 44, HEIGHT = 190;
 
 function made(space, name, attributes, children) {
@@ -21,7 +25,7 @@ function number(value, unit = "") {
   const text = value.toFixed(["ms", "dB", "of 100"].includes(unit) ? 1 : 2);
   return text.replace(Number(text) ? "" : "-", "").replace("-", "−");
 }
-const chance = (p) => (p === null ? "p is unknown: too few participants" : p < 0.001 ? "p\u00a0<\u00a00.001" : `p\u00a0=\u00a0${p.toFixed(3)}`);
+const chance = (p) => (p < 0.001 ? "p\u00a0<\u00a00.001" : `p\u00a0=\u00a0${p.toFixed(3)}`);
 
 /** Round values for an axis, about five of them between low and high. */
 function ticks(low, high) {
@@ -80,29 +84,32 @@ function estimates(name, unit, rows) {
   return figure(bottom + BOTTOM, `estimates of ${name}`, `Dot: estimate. Line: 95 % interval.${people}`, shapes);
 }
 
-/** Shares of answers at each delay, with the fitted curves. */
-function curves(name, of) {
-  const xs = Object.values(of)[0].x, top = 22;
-  const [place, shapes] = axis(xs[0], xs.at(-1), HEIGHT, "delay of the vibration in ms");
+/** Shares of counted answers at each delay or level. */
+function curves(name, unit, of) {
+  const all = Object.values(of).flat().map(([x]) => x), top = 22;
+  const [place, shapes] = axis(Math.min(...all), Math.max(...all), HEIGHT, unit === "ms" ? "delay of the vibration in ms" : "level in dB");
   const up = (share) => HEIGHT - share * (HEIGHT - top);
   for (const share of [0.5, 1]) {
     shapes.push(shape("line", { class: "zero", x1: LEFT, x2: WIDTH - RIGHT, y1: up(share), y2: up(share) }));
     shapes.push(shape("text", { class: "quiet", x: WIDTH - RIGHT, y: up(share) - 4, "text-anchor": "end" }, `${100 * share} %`));
   }
-  Object.entries(of).forEach(([condition, { x, share, fit_x, fit }], c) => {
-    const way = fit_x.map((value, i) => `${i ? "L" : "M"}${place(value).toFixed(1)} ${up(fit[i]).toFixed(1)}`).join("");
-    shapes.push(shape("path", { class: `c${c % 4}`, d: way }));
-    x.forEach((value, i) => shapes.push(shape("circle", { class: `c${c % 4}`, cx: place(value), cy: up(share[i]), r: 4 })));
+  Object.entries(of).forEach(([condition, points], c) => {
+    const way = points.map(([x, share], i) => `${i ? "L" : "M"}${place(x).toFixed(1)} ${up(share).toFixed(1)}`).join("");
+    if (unit === "ms") shapes.push(shape("path", { class: `c${c % 4}`, d: way }));
+    points.forEach(([x, share]) => shapes.push(shape("circle", { class: `c${c % 4}`, cx: place(x), cy: up(share), r: 4 })));
     shapes.push(shape("circle", { class: `c${c % 4}`, cx: LEFT + 6, cy: 18 * c + 8, r: 5 }), shape("text", { x: LEFT + 16, y: 18 * c + 13 }, condition));
   });
-  return figure(HEIGHT + BOTTOM, `answers of ${name} by delay`, "Dots: share of the counted answer (simultaneous, or sound first). Line: fitted curve.", shapes);
+  return figure(HEIGHT + BOTTOM, `answers of ${name}`, "Dots: share of the counted answer (simultaneous, sound first, right, or tested one stronger).", shapes);
 }
+
+/** The name of a sound, from its file. */
+const titled = (sound) => sound.replace(/.*\//, "").replace(/\.\w+$/, "");
 
 /** Shares of each answer to each sound, as a shaded table. */
 function confusion(condition, sounds, shares) {
-  const rows = sounds.map((sound, i) => element("tr", {}, element("th", { scope: "row" }, sound),
+  const rows = sounds.map((sound, i) => element("tr", {}, element("th", { scope: "row" }, titled(sound)),
     shares[i].map((share) => element("td", { class: "cell", style: `background: rgba(var(--shade), ${(0.45 * share).toFixed(2)})` }, `${Math.round(100 * share)} %`))));
-  const head = ["sound", ...sounds].map((one, i) => element("th", { scope: "col", class: i ? "number" : "" }, i ? `“${one}”` : one));
+  const head = ["sound", ...sounds.map(titled)].map((one, i) => element("th", { scope: "col", class: i ? "number" : "" }, i ? `“${one}”` : one));
   const stamp = report.simulated ? element("strong", {}, " SIMULATED") : "";
   return element("figure", {}, element("h4", {}, `Answers with ${condition}`, stamp),
     element("div", { class: "wide", tabindex: "0", role: "region", "aria-label": `answers with ${condition}` },
@@ -113,20 +120,18 @@ function question([name, one]) {
   const rows = Object.entries(one.estimates), units = one.unit.split("; ");
   const size = rows.length / units.length;
   const panels = units.map((unit, u) => estimates(name, unit, rows.slice(u * size, (u + 1) * size)));
-  const drawn = [...panels, ...(one.curves ? [curves(name, one.curves)] : []),
+  const drawn = [...panels, ...(one.curves ? [curves(name, one.unit, one.curves)] : []),
     ...Object.entries(one.confusion ?? {}).map(([condition, shares]) => confusion(condition, one.sounds, shares))];
   const cells = rows.map(([label, { value, low, high }], i) => {
     const unit = units[Math.floor(i / size)];
     return [label, number(value, unit), `${number(low, unit)} to ${number(high, unit)}`];
   });
-  const tests = Object.entries(one.tests).map(([label, p]) => [label, chance(p)]);
   return element("section", {},
     element("h3", {}, `${name} `, element("small", {}, `${one.paradigm}, ${one.participants} participants`)),
     one.participants < FEW ? element("p", { class: "note" }, "With so few people, the intervals are too short.") : "",
     element("div", { class: "result" }, element("div", {}, drawn), element("div", {},
       table([one.unit, "estimate", "95 % interval"], cells, `estimates of ${name}`),
-      tests.length ? [element("p", {}, `All comparisons together (Hotelling's T²): ${chance(one.p)}`),
-        table(["comparison", "after Holm"], tests, `tests of ${name}`)] : "")));
+      one.p === null ? "" : element("p", {}, `${TESTED[one.paradigm]}: ${chance(one.p)}`))));
 }
 
 const { wanted, began } = report.participants, excluded = Object.entries(report.excluded);
@@ -144,7 +149,7 @@ main.append(
   element("p", {}, "Estimates are means over participants, or functions of such means. The 95 % intervals come from a bootstrap over participants, " +
     "with 2 000 draws and expanded percentiles (Hesterberg 2015). The bootstrap's bias is subtracted from the estimate. Log odds are worths of a " +
     "Bradley-Terry model, relative to the mean of all conditions. PSS is the delay of the vibration that seems simultaneous. JND is the distance " +
-    "from it at which half of the answers change: delays beyond are noticed. Bits are the mutual information of sound and answer."),
+    "from it at which half of the answers change: delays beyond are noticed. A t test over participants gives p. Bits are the mutual information of sound and answer."),
   element("h2", {}, "Data and versions"),
   table(["what", "version"], Object.entries(report.versions).map(([name, value]) => [name, element("code", {}, value)]), "data and versions", "words"),
 );

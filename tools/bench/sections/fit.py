@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from audioflinger_hook.fit import PROTOCOL
 from audioflinger_hook.fit.curve import HZ, resonance_db
 from audioflinger_hook.fit.session import FitSession, SimulatedSitter
-from audioflinger_hook.trials.record import Rows
-from audioflinger_hook.trials.session import run
+from audioflinger_hook.trials.record import Rows, run
 from tools.bench.report import Must, Row, Section
 from tools.bench.workbench import Workbench
 
