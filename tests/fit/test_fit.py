@@ -253,8 +253,8 @@ def test_gains_are_cut_at_12_db_which_is_said_and_without_loudness_control_never
     gains = LiveDesign.of(parameters_of("cinema", {"strength": "fit", "fit": curve}), RATE_HZ)
     weak = {"25": -30.0, "45.3": -30.0, "70": 0.0, "200": 0.0}
     shown = call("fit", "--simulate", person(curve_db=weak), "--seed", 1).stdout.splitlines()
-    cut = [line.split()[0] for line in shown if "cut at +12 dB" in line]
-    assert cut == ["25.0", "33.6", "45.3"]
+    marked = [line.split()[0] for line in shown if "cut at +12 dB" in line]
+    assert marked == ["25.0", "33.6", "45.3"]
     assert 1.0 / gains.strength.felt_weights.min() == pytest.approx(10**0.6)
     plain, cut = (
         LiveDesign.of(parameters_of("paper", said), RATE_HZ).synthesis.gain_table
