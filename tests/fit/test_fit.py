@@ -68,9 +68,7 @@ def test_an_answer_informs_its_neighbours_and_half_an_answer_is_between():
         posterior = CurvePosterior()
         before = posterior.curve_db.copy(), posterior.uncertainty_db.copy()
         posterior.add(148.6, -posterior.curve_db[6], stronger)
-        changes = posterior.curve_db - before[0], posterior.uncertainty_db - before[1]
-        assert (changes[0][8], changes[1][8]) == (0.0, 0.0)
-        return changes[0][:8], changes[1][:8]
+        return (posterior.curve_db - before[0])[:8], (posterior.uncertainty_db - before[1])[:8]
 
     (up, _), (down, _), (none, surer) = after(1.0), after(0.0), after(0.5)
     assert up[5:].min() > 0.1 > -0.1 > down[5:].max()
@@ -254,11 +252,8 @@ def test_gains_are_cut_at_12_db_which_is_said_and_without_loudness_control_never
     gains = LiveDesign.of(parameters_of("cinema", {"strength": "fit", "fit": curve}), RATE_HZ)
     weak = {"25": -30.0, "45.3": -30.0, "70": 0.0, "200": 0.0}
     shown = call("fit", "--simulate", person(curve_db=weak), "--seed", 1).stdout.splitlines()
-    assert [line[:11] for line in shown if "cut at +12 dB" in line] == [
-        "    25.0 Hz",
-        "    33.6 Hz",
-        "    45.3 Hz",
-    ]
+    marked = [line.split()[0] for line in shown if "cut at +12 dB" in line]
+    assert marked == ["25.0", "33.6", "45.3"]
     assert 1.0 / gains.strength.felt_weights.min() == pytest.approx(10**0.6)
     plain, cut = (
         LiveDesign.of(parameters_of("paper", said), RATE_HZ).synthesis.gain_table
