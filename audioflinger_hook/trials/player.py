@@ -1,5 +1,6 @@
 """Plays trials of sound and vibration, and measures them by reports of the daemon."""
 
+import math
 import shlex
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -30,6 +31,7 @@ PCM = "cushion_trials"
 ANSWER_S = 5.0  # longest wait for an answer of the daemon
 POLL_S, ASK_S = 0.03, 0.1  # between two looks during a trial, and before one
 BEGINS_S = 20.0  # longest time until a daemon plays trials
+LATE_S = 3.0  # a trial whose end comes later than this was lost
 FADES_S = 0.5  # from a stop to the end of the fade
 AFTER_S = 0.1  # from the last frame at the device to the last look at the levels
 
@@ -93,13 +95,15 @@ class DaemonPlayer:
             readings, before, lost = [self._look()], self.status().exposure, self.why_not
             lead_s, later_s = (readings[0].get(name, 0.0) for name in ("lead_s", "felt_s"))
             trial = self._trial = Trial(frames, lead_s)
+            late_s = self._clock() + len(frames) / RATE_HZ + abs(lead_s) + LATE_S
             if self._stream is not None and not lost:
                 self._stream.play(trial)
             try:
                 while not lost and self._clock() < trial.ends_s + later_s + AFTER_S:
                     self._closed.wait(POLL_S)
                     readings.append(self._look())
-                    lost = self.why_not
+                    is_late = math.isinf(trial.ends_s) and self._clock() > late_s
+                    lost = self.why_not or "the stream of trials stands still" * is_late
                 stopped = trial.stops
             finally:
                 trial.stops = True

@@ -30,6 +30,7 @@ BEGUN_AFTER_S, BEGINS_WITHIN_S = 0.05, 2.5
 A playback stream then gets its first callbacks at once, and the next up to 2 s later. A capture
 stream gets its first callback up to 2 s later."""
 
+LONGEST_S = 10.0  # longest delay of an output that is believed
 _CONTINUE = 0
 _XRUNS = 0b1111  # PortAudio's flags for underflow and overflow of input and output
 
@@ -117,8 +118,9 @@ class _Stream(CallbackCounts):
                 self._claimed = self._priority.round
                 self._priority.claim()
             self.last_callback_s = now_s
-            if self._output:
-                self.delay_s = times["output_buffer_dac_time"] - times["current_time"]
+            if self._output:  # after an underrun, PortAudio may report nonsense
+                delay_s = times["output_buffer_dac_time"] - times["current_time"]
+                self.delay_s = delay_s if 0.0 <= delay_s < LONGEST_S else self.delay_s
             self.callbacks += 1
             self.frames += frames
             self.xruns += bool(flags & _XRUNS)
