@@ -34,18 +34,17 @@ class People:
     def person(self, name: str, number: int) -> dict[str, FloatArray]:
         """Return a person's parameters in a question, one value for each condition."""
         question, given = self.design.questions[name], self._truths.get(name, {})
-        index = list(self.design.questions).index(name)
+        index, names = list(self.design.questions).index(name), question.conditions
         rng = np.random.default_rng((self.seed, index, number))
 
         def values(key: str, default: float) -> FloatArray:
             found = given.get(key, default)
-            by_name = found if isinstance(found, dict) else {}
-            other = default if isinstance(found, dict) else found
-            return np.array([float(by_name.get(one, other)) for one in question.conditions])
+            by_name = found if isinstance(found, dict) else dict.fromkeys(names, found)
+            return np.array([float(by_name.get(one, default)) for one in names])
 
         person = {"lapse": values("lapse", 0.0)}
         for key, (default, low, high) in question.kind["parameters"].items():
-            spread = values(f"{key}_spread", 0.0) * rng.standard_normal(len(question.conditions))
+            spread = values(f"{key}_spread", 0.0) * rng.standard_normal(len(names))
             person[key] = np.clip(values(key, default) + spread, low, high)
         return person
 
