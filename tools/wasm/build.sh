@@ -5,21 +5,19 @@
 #
 # The compiler is the clang in the package ziglang of constraints.txt; PYTHON has that package (by default
 # that of .venv). It gives the same bytes on every machine and from every folder. The result imports
-# nothing: the core takes no memory, and strings.c has what it calls of the C library.
+# nothing: the core takes no memory, and the C library that comes with clang compares strings for it.
 set -eu
 
 cd "$(dirname "$0")/../.."
 out=${1:-audioflinger_hook/monitor/static/try/core.wasm}
-zig="${PYTHON:-.venv/bin/python} -m ziglang"
-objects=$(mktemp -d)
-trap 'rm -rf "$objects"' EXIT
-for source in audioflinger_hook/core/*.c audioflinger_hook/core/drive/*.c audioflinger_hook/transform/native/*.c \
-    tools/wasm/strings.c; do
-    $zig cc -target wasm32-wasi -msimd128 -mbulk-memory -std=gnu11 -Os -g0 -ffp-contract=off -fno-math-errno \
-        -fno-sanitize=undefined -fno-stack-protector -Wno-pass-failed -Wall -Wextra \
-        -c -o "$objects/$(basename "$source" .c).o" "$source"
-done
-$zig wasm-ld --no-entry --gc-sections --strip-all -z stack-size=65536 --export=__heap_base --export=core_sizes \
-    --export=core_check --export=core_open --export=core_process -o "$objects/core.wasm" "$objects"/*.o
-chmod 644 "$objects/core.wasm"
-cp "$objects/core.wasm" "$out"
+made=$(mktemp -d)
+trap 'rm -rf "$made"' EXIT
+${PYTHON:-.venv/bin/python} -m ziglang cc -target wasm32-wasi -mexec-model=reactor -fno-lto \
+    -msimd128 -mbulk-memory -std=gnu11 -Os -g0 -s -ffp-contract=off -fno-math-errno \
+    -fno-sanitize=undefined -fno-stack-protector -Wno-pass-failed -Wall -Wextra \
+    -Wl,--no-entry -Wl,--gc-sections -Wl,-z,stack-size=65536 -Wl,--export=__heap_base \
+    -Wl,--export=core_sizes -Wl,--export=core_check -Wl,--export=core_open -Wl,--export=core_process \
+    -o "$made/core.wasm" \
+    audioflinger_hook/core/*.c audioflinger_hook/core/drive/*.c audioflinger_hook/transform/native/*.c
+chmod 644 "$made/core.wasm"
+cp "$made/core.wasm" "$out"
