@@ -43,13 +43,26 @@ def test_each_profile_gives_the_bytes_of_the_compiled_core(profile, rate, tmp_pa
         core = Core(core_design(rate, channels, transform=records))
         expected = core.process(sound)
         vibration, told = in_node(design, sound, block, tmp_path)
-        print(f"of {block} frames: median {told['median_ms']:.3f} ms, p99 {told['p99_ms']:.3f} ms")
         assert vibration == expected.tobytes(), (channels, block)
         assert [tuple(row) for row in told["partials"]] == list(core.partials)
         assert np.abs(expected).max() > 0.1
     with pytest.raises(subprocess.CalledProcessError) as refused:
         in_node(design[:40] + b"?" + design[41:], sounds()[:100], 128, tmp_path)
     assert b"the design is damaged" in refused.value.stderr
+
+
+@needs_node
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("profile", ["cinema", "game", "music", "speech"])
+def test_a_quantum_of_the_browser_takes_a_small_share_of_its_time(profile, tmp_path):
+    design = core_design(
+        48_000, 1, transform=LiveDesign.of(parameters_of(profile), 48_000).records()
+    )
+    minute = np.ascontiguousarray(np.tile(sounds(), (30, 1))[: 60 * 48_000])
+    runs = [in_node(design, minute, 128, tmp_path)[1] for _ in range(3)]
+    p99_ms = min(told["p99_ms"] for told in runs)  # others may use the processor, too
+    print(f"{profile}: median {runs[0]['median_ms']:.3f} ms, p99 {p99_ms:.3f} ms of 2.667 ms")
+    assert p99_ms < 1.0
 
 
 @pytest.mark.exhaustive

@@ -14,12 +14,13 @@ self.onactivate = (event) => event.waitUntil((async () => {
     if (name.startsWith("try-") && name !== NAME) await caches.delete(name);
   }
   await self.clients.claim();
-  if (!navigator.connection?.saveData) keepMore();
 })());
 
-async function keepMore() {
+/** The page is in use: load what other profiles and scenes need, unless the browser saves data. */
+self.onmessage = (event) => event.waitUntil((async () => {
+  if (navigator.connection?.saveData) return;
   for (const file of MORE) await answer(new Request(file)).catch(() => {}); // the next use tries again
-}
+})());
 
 self.onfetch = (event) => {
   const { request } = event;

@@ -35,6 +35,7 @@ async function bytesOf(name) {
 async function designOf(rate) {
   const [wasm, design] = await Promise.all(["core.wasm", `${profile.value}-${rate}.design`].map(bytesOf));
   if (!WebAssembly.validate(wasm)) throw new Error(NO_WASM);
+  navigator.serviceWorker?.controller?.postMessage("in use");
   return { wasm, design };
 }
 
@@ -267,7 +268,7 @@ function begin() {
   say(live ? "Choose a sound. The vibration is shown here, and is silent until you choose its output." : NO_WORKLET, live ? "good" : "bad");
 
   find("sound").onchange = asked(({ target }) => target.files[0] && choose(target.files[0]));
-  player.onplay = asked(prepare);
+  player.onplay = asked(() => { endCapture(); return prepare(); });
   player.onerror = () => file && say(`${file.name} is no sound that this browser can play. Try WAV, MP3, FLAC, Ogg or MP4.`, "bad");
   for (const button of SCENES) button.onclick = asked(scene);
   for (const button of CAPTURES) button.onclick = asked(take);
