@@ -4,7 +4,7 @@
 # usage: tools/wasm/build.sh [OUT]    the file in the repository where OUT is not given
 #
 # The compiler is the clang in the package ziglang of constraints.txt; PYTHON has that package (by default
-# that of .venv). It gives the same bytes on every machine and from every folder. The result imports
+# that of .venv). It gives the same bytes at each run and from every folder. The result imports
 # nothing: the core takes no memory, and the C library that comes with clang compares strings for it.
 set -eu
 

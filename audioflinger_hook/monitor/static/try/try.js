@@ -76,7 +76,7 @@ async function transform() {
   if (second.context) join();
 }
 
-const strength = () => (find("power").ariaChecked === "true" ? 10 ** (find("strength").value / 20) : 0);
+const strength = () => (find("power").getAttribute("aria-checked") === "true" ? 10 ** (find("strength").value / 20) : 0);
 
 function show(data) {
   if ("latency" in data) {
@@ -106,7 +106,7 @@ async function scene({ target }) {
   await choose(new File([bytes], name, { type: "audio/wav" }), target.textContent);
   await prepare();
   await player.play();
-  say(`${target.textContent} plays.${second.context ? "" : ` ${ONLY_SHOWN}`}`);
+  say(`${target.textContent} plays${second.context ? "." : "; its vibration is only shown."}`);
 }
 
 async function take({ target }) {
@@ -204,7 +204,10 @@ function gone() {
 }
 
 async function make() {
-  if (worker) return cancel(say("Cancelled.", "wait"));
+  if (worker) {
+    cancel();
+    return say("Cancelled.", "wait");
+  }
   const mine = worker = new Worker(new URL("worker.js", import.meta.url), { type: "module" }), name = file.name;
   forget();
   find("progress").hidden = false;
@@ -217,7 +220,7 @@ async function make() {
     vibration.href = URL.createObjectURL(wav);
     vibration.download = `${name.replace(/\.[^.]*$/, "")}-vibration.wav`;
     [vibration.hidden, vibration.dataset.state] = [false, "done"];
-    say(`The vibration lasts ${seconds.toFixed(1)} s and was made at ${speed.toFixed(0)} times that speed. ${sound.note}`.trim());
+    say(`Done: ${seconds.toFixed(1)} s of vibration, made ${speed.toFixed(0)} times faster than it plays. ${sound.note}`.trim());
   } finally {
     if (worker === mine) cancel();
   }
@@ -278,7 +281,7 @@ function begin() {
   output.onchange = asked(useOutput);
   profile.onchange = asked(async () => {
     find("profile-meaning").textContent = PROFILES[profile.value];
-    cancel();
+    if (worker) await make(); // cancels
     forget();
     if (node) await transform();
   });
@@ -289,8 +292,9 @@ function begin() {
   };
   find("strength").oninput = level;
   find("power").onclick = ({ currentTarget: button }) => {
-    button.ariaChecked = `${button.ariaChecked !== "true"}`;
-    find("power-word").textContent = button.ariaChecked === "true" ? "Vibration is on" : "Vibration is off";
+    const on = button.getAttribute("aria-checked") !== "true";
+    button.setAttribute("aria-checked", on);
+    find("power-word").textContent = on ? "Vibration is on" : "Vibration is off";
     level();
   };
   for (const kind of ["dragover", "dragleave", "drop"]) {
