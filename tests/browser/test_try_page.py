@@ -402,7 +402,7 @@ def test_a_film_is_made_fast_and_can_be_cancelled_and_live_sound_is_felt_soon(
         saved(page, tmp_path / "film.wav", "cinema", tmp_path)
         status = page.inner_text("#status")
         page.click("[data-scene=engine]")
-        says(page, "#status", "plays")
+        says(page, "#status", "Engine plays")
         page.evaluate("document.getElementById('player').pause()")
         delay_ms = np.median([half_of_peak_ms(*page.evaluate(DELAY)) for _ in range(9)])
         print(f"{status} Half of the peak after {delay_ms:.1f} ms.")

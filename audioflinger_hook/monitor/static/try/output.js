@@ -1,6 +1,6 @@
 // The second output: vibration on a device of its own, whose clock is kept beside the clock of the sound.
 
-const FOLLOW_S = 2, PPM_MAX = 5000, JUMP_MS = 5, REST = 10, KEPT = 99, FEW = 20, PAUSED_MS = 8, WATCH_MS = 100, LOOK_MS = 250, ROUTE_MS = 40;
+const FOLLOW_S = 2, PPM_MAX = 5000, JUMP_MS = 5, REST = 20, KEPT = 199, FEW = 40, PAUSED_MS = 8, WATCH_MS = 20, SURE = 600, LONG = 9999, LOOK_MS = 250, ROUTE_MS = 40;
 const DEFAULTS = ["default", "communications", ""]; // never felt by accident: these may be the speakers
 
 export const canChoose = () => "setSinkId" in AudioContext.prototype || "setSinkId" in HTMLMediaElement.prototype;
@@ -39,17 +39,19 @@ class Clock {
 /** Keeps one clock beside another: from errors in ms, measured again and again, it finds the rate at which to play. */
 export class ClockLock {
   #ppm = 0;
+  #count = 0; // of steps since the last jump
   #rest = 0;
 
   /** error: ms by which the vibration is late. Returns the {rate}, the ms to {jump}, and how much the clocks differ in {ppm}. */
   step(error) {
     if (Math.abs(error) > JUMP_MS && ++this.#rest > REST) {
-      this.#rest = 0;
-      return { rate: 1, jump: error, ppm: this.#ppm };
+      this.#rest = this.#count = 0;
+      return { rate: 1, jump: error, ppm: 0 };
     }
     const ppm = Math.max(-PPM_MAX, Math.min(PPM_MAX, (1000 * error) / FOLLOW_S));
-    if (Math.abs(error) < JUMP_MS) this.#ppm += (ppm - this.#ppm) / KEPT;
-    return { rate: 1 + 1e-6 * ppm, jump: 0, ppm: this.#ppm };
+    this.#count = Math.min(LONG, this.#count + 1);
+    this.#ppm += (ppm - this.#ppm) / this.#count;
+    return { rate: 1 + 1e-6 * ppm, jump: 0, ppm: this.#count < SURE ? 0 : this.#ppm };
   }
 }
 

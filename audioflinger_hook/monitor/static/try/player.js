@@ -23,8 +23,7 @@ class Player extends AudioWorkletProcessor {
 
   process(_, [[output]]) {
     if (this.waits && this.written - this.position >= this.lead) this.waits = false;
-    const oldest = this.written - ROOM / 2;
-    if (this.position < oldest) this.position = oldest;
+    this.position = Math.max(this.position, this.written - ROOM / 2);
     for (let at = 0; at < output.length; at++) {
       const first = Math.floor(this.position), share = this.position - first;
       if (!this.waits && first + 1 >= this.written) [this.waits, this.dry] = [true, this.dry + 1];

@@ -11,9 +11,8 @@ const FADE_S = 0.005, TOLD_FRAMES = 1 << 18;
 export async function render(wasm, design, sound, told = () => {}) {
   const core = new Core(wasm, design, sound.channels), made = new Float32Array(sound.frames);
   for (let at = 0; at < sound.frames + core.latency; at += TOLD_FRAMES) {
-    const here = Math.max(0, Math.min(TOLD_FRAMES, sound.frames - at));
+    const here = Math.max(0, Math.min(TOLD_FRAMES, sound.frames - at)), end = Math.min(TOLD_FRAMES, sound.frames + core.latency - at);
     const planes = here ? await sound.read(at, here) : [];
-    const end = Math.min(TOLD_FRAMES, sound.frames + core.latency - at);
     for (let first = 0; first < end; first += BLOCK) {
       const count = Math.min(BLOCK, end - first);
       core.inputs.forEach((input, channel) => {
