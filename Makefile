@@ -7,11 +7,12 @@ PYTEST_ARGS ?=
 # that tests start would compile every module again.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test check lock wheels test-all test-exhaustive test-s3 test-servers test-pipewire test-browser test-usb soak bench docs clean
+.PHONY: help run try test check lock wheels test-all test-exhaustive test-s3 test-servers test-pipewire test-browser test-usb soak bench docs clean
 .NOTPARALLEL:
 
 help:
 	@echo 'make run     set up and play the demo scene; results in out/'
+	@echo 'make try     set up and serve the page that makes vibration in a browser'
 	@echo 'make test    set up and run the fast tests (PYTEST_ARGS="..." for pytest)'
 	@echo 'make check   style and types'
 	@echo 'make test-all    the fast tests and the five sets below'
@@ -31,6 +32,10 @@ help:
 run:
 	@sh tools/setup.sh run
 	.venv/bin/cushion demo
+
+try:
+	@sh tools/setup.sh run
+	.venv/bin/python -m tools.try_page --serve
 
 test:
 	@sh tools/setup.sh test
@@ -119,6 +124,7 @@ docs:
 	@sh tools/setup.sh docs
 	.venv/bin/python -m tools.docs
 	NO_MKDOCS_2_WARNING=1 .venv/bin/python -m mkdocs build --strict --clean
+	.venv/bin/python -m tools.try_page
 	@echo 'out/site/index.html'
 
 clean:

@@ -57,6 +57,7 @@ MOVING_BYTES_MAX = 2_000_000
 FILLED_S = 10.6  # time until the chart of 10 s is full; the scene's chord follows
 VIBRATION_S, TRY_S = 5.0, 0.05  # longest wait for strong vibration, and period of the checks
 STRONG, STRONG_COUNT = 0.03, 4  # strong vibration: least amplitude, least number of partials
+ENGINE_S = 3.6  # time in the scene "engine" with strong vibration
 QUIET = np.float32(0.05)  # gain of the second application
 VIEWS = [(size, theme) for size in ((1366, 768), (390, 844)) for theme in ("dark", "light")]
 """Width and height of the page in pixels, and its theme, for each picture."""
@@ -214,6 +215,13 @@ def take_pictures(folder: Path) -> None:
                     wait_for_vibration(page)
                     page.screenshot(path=folder / f"{kind}-below-{theme}.png")
                 page.close()
+        for (width, height), theme in VIEWS:
+            page = open_page(chromium, f"{monitor.base}try/", width, theme)
+            page.set_viewport_size({"width": width, "height": height})
+            page.click("[data-scene=engine]")
+            page.wait_for_timeout(1e3 * ENGINE_S)
+            page.screenshot(path=folder / f"try-{'phone-' if width < 500 else ''}{theme}.png")
+            page.close()
 
 
 def wait_for_vibration(page: Page) -> None:

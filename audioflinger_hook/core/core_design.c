@@ -1,7 +1,5 @@
 /* Parses a design. core/design.py writes designs; device/drive/design.py computes the drives in them. */
 
-#include <stdio.h>
-
 #include "core_parts.h"
 
 #define HIGHEST_RATE 768000
@@ -49,7 +47,11 @@
 /* Write the name of a field's record in drive `number`, such as "2/exposure.factor"; return the name. */
 static const char *record_name(char *name, size_t number, const char *field)
 {
-    snprintf(name, RECORD_NAME_BYTES + 1, "%u/%s", (unsigned char)number, field);
+    const size_t tens = number > 9; /* number < 100 */
+    name[0] = (char)('0' + number / 10);
+    name[tens] = (char)('0' + number % 10);
+    name[tens + 1] = '/';
+    strcpy(name + tens + 2, field);
     return name;
 }
 

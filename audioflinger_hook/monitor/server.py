@@ -42,7 +42,7 @@ CONTROL_PAUSE_S = 0.02  # pause after each request that is forwarded to the daem
 
 SCRIPTS = (
     *("page", "connection", "elements", "drawing", "meters", "mapping", "waterfall", "controls"),
-    *("figures", "applications", "sync", "trial", "jspsych"),
+    *("figures", "applications", "panels", "sync", "theme", "trial", "jspsych"),
 )
 FILES = {  # URL path: (file, content type)
     "/": ("index.html", "text/html; charset=utf-8"),
@@ -52,6 +52,8 @@ FILES = {  # URL path: (file, content type)
     "/icon.svg": ("icon.svg", "image/svg+xml"),
     **{f"/{name}.js": (f"{name}.js", "text/javascript; charset=utf-8") for name in SCRIPTS},
 }
+
+TRY = "/try/"  # path of the page "Try it", which needs no daemon
 
 SECURITY = {
     "Content-Security-Policy": (
@@ -140,14 +142,14 @@ class PageServer:
                 tasks.create_task(self._link.run())
                 tasks.create_task(frames.run())
 
-    def _respond(self, connection: ServerConnection, request: Request) -> Response | None:
-        response = self._answer(connection, request)
+    async def _respond(self, connection: ServerConnection, request: Request) -> Response | None:
+        response = await self._answer(connection, request)
         if isinstance(connection, _Connection) and connection.method == b"HEAD":
             response = response or _text(*NOT_ALLOWED)  # a HEAD request opens no websocket
             response.body = b""
         return response
 
-    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+    async def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return the response to a request, or None to accept the live connection."""
         headers = request.headers
         access, path = self._access, request.path
@@ -159,6 +161,12 @@ class PageServer:
             return None
         if path in self._files:
             return _response(HTTPStatus.OK, *self._files[path])
+        if path == "/try":
+            moved = _text(HTTPStatus.PERMANENT_REDIRECT, "the page is at /try/")
+            moved.headers["Location"] = TRY
+            return moved
+        if path.startswith(TRY) and (found := await asyncio.to_thread(_try_file, path)):
+            return found
         if path == "/metrics":
             if access.has_bearer(headers.get_all("Authorization")):
                 return _response(HTTPStatus.OK, metrics_text(self.clients), CONTENT_TYPE_LATEST)
@@ -306,6 +314,21 @@ def _take(client: Client, message: str | bytes) -> bool:
             asked, lambda answer: client.answer(json.dumps({"id": number, "answer": answer}))
         )
     return type(number) is int
+
+
+def _try_file(path: str) -> Response | None:
+    """Return a file of the page "Try it"; None if it has no such file."""
+    from audioflinger_hook.monitor import try_page  # takes memory
+
+    name = path.removeprefix(TRY) or "index.html"
+    content = try_page.page_files().get(name)
+    if content is None:
+        return None
+    response = _response(HTTPStatus.OK, content(), try_page.content_type(name))
+    del response.headers["Content-Security-Policy"]
+    policy = f"{try_page.CONTENT_SECURITY_POLICY}; frame-ancestors 'none'"
+    response.headers["Content-Security-Policy"] = policy
+    return response
 
 
 def _bound(listen: Listen) -> socket.socket:

@@ -110,12 +110,18 @@ DEMO_TRACKS = (
 )
 
 
+def demo_sound(index: int, samplerate: int) -> Float32Array:
+    """Return a sound of `DEMO_TRACKS`, (frames, 2). samplerate: Hz."""
+    demo = DEMO_TRACKS[index]
+    # With its own random generator, each sound stays identical if another sound is changed.
+    return demo.voice(samplerate, np.random.default_rng([_SEED, index]), demo.peak)
+
+
 def demo_scene() -> Scene:
     """Return the demo scene with read-only arrays, for a stereo mix at 48 kHz."""
     tracks = []
     for index, demo in enumerate(DEMO_TRACKS):
-        # With its own random generator, each sound stays identical if another sound is changed.
-        frames = demo.voice(demo.samplerate, np.random.default_rng([_SEED, index]), demo.peak)
+        frames = demo_sound(index, demo.samplerate)
         if demo.channels == 1:
             frames = frames.mean(axis=1, keepdims=True, dtype=np.float32)
         frames.setflags(write=False)

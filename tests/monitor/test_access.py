@@ -190,6 +190,18 @@ def test_every_file_of_the_page_has_the_policy_and_loads_nothing_from_elsewhere(
     assert not ("html" in kind and re.search("<style| style=| onclick=", body))
 
 
+@pytest.mark.parametrize("name", ["", "try.js", "core.wasm", "game-44100.design", "chord.wav"])
+def test_the_page_try_it_is_served_without_a_key_and_with_its_own_policy(served, name):
+    status, answer = served.request(f"/try/{name}")
+    assert status == 200
+    assert answer.count("Content-Security-Policy") == 1 + (not name)  # the page has it, too
+    assert "script-src 'self' 'wasm-unsafe-eval'; connect-src 'self'; style-src" in answer
+    assert "frame-ancestors 'none'" in answer
+    status, answer = served.request("/try")
+    assert (status, "Location: /try/" in answer) == (308, True)
+    assert served.request("/try/nothing.js")[0] == 404
+
+
 METHODS = ["POST", "PUT", "DELETE", "OPTIONS", "TRACE", "CONNECT", "PATCH", "get", "M-SEARCH"]
 
 

@@ -1,7 +1,7 @@
 // Applications with a sound, and the rules that a person chooses for them.
 
-import { ordered } from "/controls.js";
-import { element, titled } from "/elements.js";
+import { ordered } from "./controls.js";
+import { element, titled } from "./elements.js";
 
 /** The rule that matches a name. A [ without a ] stands for itself only as [[]. */
 const matchOf = (name) => (name.includes(":") ? "application:" : "") + (/\[.+\]/s.test(name) ? name : name.replaceAll("[", "[[]"));

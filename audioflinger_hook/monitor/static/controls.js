@@ -1,6 +1,6 @@
 // Controls drawn from the schema of the config: label, range, unit, meaning, and the schema's own refusals.
 
-import { element, fill, newest, titled } from "/elements.js";
+import { element, fill, newest, PROFILES, titled } from "./elements.js";
 
 const ORDER = ["device_volume_db", "drop_in", "engine", "damping", "protection", "exposure_cap"]; // the rest follows
 const WORDS = { gain_db: ["Strength", "gentle", "full"], profile: ["Profile"], offset_ms: ["Delay", "at once", "later"] }; // label, ends of the slider
@@ -8,10 +8,6 @@ const NAMES = { "transform.strength": "Strength by frequency" }; // "Strength" i
 const REASONS = {
   "declared by the sink": "as the output reports", "measured by cushion sync": "as you found it", "": "",
   "not known": "not known for this output",
-};
-const PROFILES = {
-  cinema: "for films and series", game: "earlier, for games", music: "bass and rhythm", speech: "the syllables of voices",
-  paper: "the published method, unchanged",
 };
 /** Names of profiles: those above first, in their order. */
 export const ordered = (names) => [...new Set([...Object.keys(PROFILES).filter((one) => names.includes(one)), ...names])];

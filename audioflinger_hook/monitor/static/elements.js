@@ -3,6 +3,12 @@
 export const find = (id) => document.getElementById(id);
 export const titled = (word) => `${word}`[0].toUpperCase() + `${word}`.slice(1);
 
+/** What each profile is for. */
+export const PROFILES = {
+  cinema: "for films and series", game: "earlier, for games", music: "bass and rhythm", speech: "the syllables of voices",
+  paper: "the published method, unchanged",
+};
+
 /** content: text and elements. */
 export function element(kind, attributes = {}, ...content) {
   const made = document.createElement(kind);

@@ -1,6 +1,6 @@
 // Figures of the status: the delay, and panels of rows.
 
-import { element, find, titled } from "/elements.js";
+import { element, find, titled } from "./elements.js";
 
 const PERCEIVED_MS = 24;
 

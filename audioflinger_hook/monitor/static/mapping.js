@@ -1,7 +1,7 @@
 // The principal frequencies as they are mapped: sound on the left, vibration on the right, strength as width.
 
-import { colours, fit, hertz, line, share, still, strength } from "/drawing.js";
-import { element } from "/elements.js";
+import { colours, fit, hertz, line, share, still, strength } from "./drawing.js";
+import { element } from "./elements.js";
 
 const TICKS = { audio: [20, 50, 100, 200, 500, 1000, 2000, 5000, 10000], felt: [20, 30, 50, 70, 100, 140, 220] };
 const RANGES = { audio: [20, 12000], felt: [20, 220] };

@@ -1,6 +1,6 @@
 // Level meters: RMS, peak and the highest peak of the last two seconds, in dBFS.
 
-import { element } from "/elements.js";
+import { element } from "./elements.js";
 
 const LOW = -60, HOLD_MS = 2000, WORDS_MS = 500, FLOOR = -149;
 

@@ -1,25 +1,19 @@
 // The page: what the daemon tells is kept, and drawn with the screen.
 
-import { Applications, nameOf } from "/applications.js";
-import { Connection } from "/connection.js";
-import { Controls } from "/controls.js";
-import { still } from "/drawing.js";
-import { fill, find } from "/elements.js";
-import { showDelay, showRows } from "/figures.js";
-import { Mapping } from "/mapping.js";
-import { Meters } from "/meters.js";
-import { SyncTest } from "/sync.js";
-import { Waterfall } from "/waterfall.js";
+import { Applications, nameOf } from "./applications.js";
+import { Connection } from "./connection.js";
+import { Controls } from "./controls.js";
+import { fill, find } from "./elements.js";
+import { showDelay, showRows } from "./figures.js";
+import { Panels } from "./panels.js";
+import { SyncTest } from "./sync.js";
+import { followTheme } from "./theme.js";
 
 const STATES = {
   starting: ["Starting", "wait"], running: ["Running", "good"], idle: ["Idle", "good"],
   "waiting-for-server": ["Waiting for the sound server", "wait"], "waiting-for-device": ["Waiting for the device", "wait"],
   "waiting-for-sound-source": ["Waiting for a sound source", "wait"], recovering: ["Recovering", "wait"], stopping: ["Stopping", "wait"],
 };
-const CHANNELS = { 1: ["mono"], 2: ["L", "R"], 4: ["FL", "FR", "RL", "RR"], 6: ["FL", "FR", "C", "LFE", "RL", "RR"], 8: ["FL", "FR", "C", "LFE", "RL", "RR", "SL", "SR"] };
-const STILL_MS = 250, STALE_MS = 1500, STALE_EVERY_MS = 100;
-const NOTHING = { sound: [], vibration: [], partials: [] };
-const THEMES = ["system", "dark", "light"];
 
 const listeners = {
   frame: showFrame, status: showStatus, figures: showFigures, settings: showSettings,
@@ -33,10 +27,9 @@ const listeners = {
 const connection = new Connection((kind, content) => listeners[kind]?.(content));
 const ask = (request) => connection.ask(request);
 const act = async (request, place) => tell(await ask(request), place);
-const mapping = new Mapping(find("mapping"), find("strongest"));
-const waterfall = new Waterfall(find("waterfall"));
-const soundMeters = new Meters(find("sound-meters"), "Sound", (index, count) => CHANNELS[count]?.[index] ?? `${index + 1}`);
-const vibrationMeters = new Meters(find("vibration-meters"), "Vibration", (index, count) => (count > 1 ? `${index + 1}` : "all"));
+const panels = new Panels((rate) => {
+  find("traffic").textContent = `${rate.toFixed(0)} frames a second, ${traffic.overwritten + traffic.missed} overwritten by newer ones`;
+});
 const controls = new Controls(find("controls"), ask);
 const applications = new Applications(find("applications"), (application) => act({ application }));
 const sync = new SyncTest(ask, async () => {
@@ -44,19 +37,10 @@ const sync = new SyncTest(ask, async () => {
 });
 const keyOf = (name) => settings?.keys.find(({ key }) => key === name);
 
-let frame = NOTHING, fresh = false, link = { connected: false, text: "" }, status = null, settings = null;
-let traffic = { overwritten: 0, missed: 0 }, drawn = 0, drawnAt = 0, arrivedAt = 0, counted = performance.now();
-window.cushion = { frames: 0, partials: [] }; // what tests measure
+let link = { connected: false, text: "" }, status = null, settings = null, traffic = { overwritten: 0, missed: 0 };
 
-/** Levels in dBFS, partials as they are played, with names, the strongest first. */
 function showFrame(content) {
-  const decibels = (power) => Math.max(-150, 10 * Math.log10(power));
-  const levels = (readings, level = 1) => readings.map(([peak, square]) => (level ? [decibels(peak * peak), decibels(square)] : [-150, -150]));
-  const partials = content.partials.map(([audio, felt, amplitude]) => ({ audio, felt, amplitude: content.level * amplitude }));
-  partials.sort((one, other) => other.amplitude - one.amplitude);
-  frame = { sound: levels(content.sound), vibration: levels(content.vibration, content.level), partials };
-  [fresh, arrivedAt, window.cushion.partials] = [true, performance.now(), partials];
-  waterfall.add(partials, arrivedAt);
+  panels.show(content);
   if (!status || status.state === content.state) return;
   status = { ...status, state: content.state, reason: "" };
   showState();
@@ -123,33 +107,6 @@ function tell({ error = "" }, place = find("notice")) {
   if (place.id === "notice") place.hidden = !error;
 }
 
-function draw(now) {
-  requestAnimationFrame(draw);
-  const stale = now - arrivedAt > STALE_MS, wait = still.matches ? STILL_MS : stale ? STALE_EVERY_MS : 0;
-  if (now - drawnAt < wait || !(fresh || stale)) return;
-  if (stale) waterfall.add([], now);
-  [fresh, drawnAt] = [false, now];
-  const shown = stale ? NOTHING : frame;
-  mapping.draw(shown.partials, now);
-  waterfall.draw(now);
-  soundMeters.draw(shown.sound, now);
-  vibrationMeters.draw(shown.vibration, now);
-  drawn++;
-  window.cushion.frames++;
-  if (now - counted <= 1000) return;
-  const rate = (1000 * drawn) / (now - counted);
-  find("traffic").textContent = `${rate.toFixed(0)} frames a second, ${traffic.overwritten + traffic.missed} overwritten by newer ones`;
-  [counted, drawn] = [now, 0];
-}
-
-const theme = find("theme"), systemLight = matchMedia("(prefers-color-scheme: light)");
-function showTheme(step = 0) {
-  const chosen = THEMES[(THEMES.indexOf(localStorage.getItem("theme") ?? "system") + step) % THEMES.length];
-  if (step) localStorage.setItem("theme", chosen);
-  document.documentElement.dataset.theme = chosen === "system" ? (systemLight.matches ? "light" : "dark") : chosen;
-  theme.textContent = theme.ariaLabel = `Colours: ${chosen}`;
-}
-
 /** Ask the page's server whether the daemon starts at login; `on` true or false switches it. */
 async function startAtLogin(on) {
   const box = find("autostart"), answer = await ask({ autostart: on });
@@ -163,8 +120,6 @@ async function startAtLogin(on) {
 find("second").onclick = find("second").onauxclick = (event) => {
   if (event.button !== 2 && window.open("/")) event.preventDefault(); // 2: for the context menu
 };
-systemLight.onchange = () => showTheme();
-theme.onclick = () => showTheme(1);
 find("power").onclick = () => act({ mute: !settings?.muted });
 find("sync").onclick = () => sync.begin(status.offset_ms ?? 0);
 find("undo").onclick = () => act({ undo: true });
@@ -173,7 +128,6 @@ find("tone-hz").oninput = ({ target }) => { fill(target); find("tone-value").tex
 find("tone").onclick = () => act({ tone: settings?.tone ? null : { hz: Number(find("tone-hz").value) } }, find("tone-error"));
 find("autostart").onchange = ({ target }) => startAtLogin(target.checked);
 
-showTheme();
+followTheme(find("theme"));
 connection.open();
-requestAnimationFrame(draw);
 startAtLogin(null);

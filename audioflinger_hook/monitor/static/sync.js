@@ -1,6 +1,6 @@
 // The sync test: clicks of the browser are heard and felt, and a person moves the vibration until both agree.
 
-import { fill, find, newest } from "/elements.js";
+import { fill, find, newest } from "./elements.js";
 
 const EVERY_MS = 1400, CLICK_S = 0.012, CLICK_HZ = 1000;
 const FIRST_STEP_MS = 80, LAST_STEP_MS = 5;

@@ -2,7 +2,7 @@
 //
 // Each frame is painted once, on a strip that is used in a circle; the strip is then copied.
 
-import { colours, fit, line, share, still, strength } from "/drawing.js";
+import { colours, fit, line, share, still, strength } from "./drawing.js";
 
 const SPAN_MS = 10_000, RANGE = [20, 220], TICKS = [20, 40, 60, 100, 150, 220];
 const PAUSE_MS = 400, GUTTER = 44, STILL_MS = 1000, TOP = 6, FOOT = 22, NARROW = 520;
