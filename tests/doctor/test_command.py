@@ -1,14 +1,13 @@
-"""What the doctor reads from the journal, and the order in which the command prints and writes."""
+"""What the doctor reads of folders and the journal, and the order in which it prints and writes."""
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from audioflinger_hook.cli import doctor
 from audioflinger_hook.doctor import reading
-from audioflinger_hook.doctor.facts import Facts
+from audioflinger_hook.doctor.facts import Facts, Folder
 from tests.doctor.test_findings import CASES
 from tests.support.commands import call
 
@@ -25,9 +24,7 @@ JOURNAL = """\
 
 
 @pytest.mark.parametrize(("state", "count"), [("failed", 5), ("", 0)])
-def test_the_last_errors_of_the_service_are_read_if_systemd_knows_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, state: str, count: int
-) -> None:
+def test_the_last_errors_of_a_known_service_are_read(tmp_path, monkeypatch, state, count):
     (tmp_path / "journal").write_text(JOURNAL)
     for name, does in (("systemctl", f"echo {state}"), ("journalctl", f"cat {tmp_path}/journal")):
         (tmp_path / name).write_text(f"#!/bin/sh\n{does}\n")
@@ -44,13 +41,11 @@ def test_the_last_errors_of_the_service_are_read_if_systemd_knows_it(
 
 
 @pytest.mark.parametrize("shape", [[], ["--json"]])
-def test_a_report_that_cannot_be_written_hides_no_finding_and_no_repair(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shape: list[str]
-) -> None:
-    muted = CASES["device-muted"]
-    monkeypatch.setattr(
-        doctor, "read_facts", lambda *_: replace(muted, errors=("cushion: error: x",))
-    )
+def test_a_report_that_cannot_be_written_hides_neither_finding_nor_repair(
+    tmp_path, monkeypatch, shape
+):
+    muted = replace(CASES["device-muted"], errors=("cushion: error: x",))
+    monkeypatch.setattr(doctor, "read_facts", lambda *_: muted)
     monkeypatch.setattr(doctor, "repair", lambda *_: "it stays muted.")
     done = call("doctor", "--fix", "--report", tmp_path / "no" / "report.txt", *shape)
     assert done.code == 2
@@ -58,6 +53,22 @@ def test_a_report_that_cannot_be_written_hides_no_finding_and_no_repair(
     assert "is muted, at volume 100 %" in done.stdout
     assert "it stays muted." in done.stdout
     if shape:
-        assert {"label": "last error", "text": "cushion: error: x"} in json.loads(done.stdout)[
-            "facts"
-        ]
+        facts = json.loads(done.stdout)["facts"]
+        assert {"label": "last error", "text": "cushion: error: x"} in facts
+
+
+def runtime_folder(home, **variables: str) -> Folder:
+    folders = reading._machine({"HOME": str(home), **variables}).folders
+    return next(one for one in folders if one.what == "runtime")
+
+
+def test_a_folder_that_the_daemon_makes_may_be_missing_but_not_the_system_s(tmp_path, monkeypatch):
+    found = runtime_folder(tmp_path, XDG_RUNTIME_DIR=str(tmp_path))
+    assert (found.path, found.problem) == (str(tmp_path / "cushion"), "")
+    assert found.free_bytes > 0
+    found = runtime_folder(tmp_path, XDG_RUNTIME_DIR=str(tmp_path / "run"))
+    assert (found.path, "XDG_RUNTIME_DIR" in found.problem) == (str(tmp_path / "run"), True)
+    # Without a runtime folder of the system a temporary one is used.
+    monkeypatch.setattr("os.geteuid", lambda: 4_000_000)  # this user has no /run/user/UID
+    found = runtime_folder(tmp_path, TMPDIR=str(tmp_path))
+    assert (found.path, found.problem) == (str(tmp_path / "cushion-4000000"), "")

@@ -18,10 +18,8 @@ from tools.rig_driver import RigDriver
 RATE = 8_000
 LOUD = replace(PAPER, amplifier=replace(PAPER.amplifier, gain=20.0, current_limit_a=math.inf))
 STANDARD = pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=["paper", "consumer"])
-ACTUATORS = ((0.9, 1.1), (0.81, 1.21), (0.9, 1.1), (0.0, 3.0 - 1e-6))
-"""Bounds of mass, stiffness and Bl, and which seat."""
-MOST = {True: 1.0, False: 1.1}
-"""Of Xmax, that the linear models may reach, and that the non-linear one may."""
+ACTUATORS = ((0.9, 1.1), (0.81, 1.21), (0.9, 1.1), (0.0, 3.0 - 1e-6))  # mass, stiffness, Bl, seat
+MOST = {True: 1.0, False: 1.1}  # of Xmax: of the linear models, and of the non-linear one
 
 
 def worst(rig, stronger, linear, **effort):

@@ -1,4 +1,4 @@
-"""Rules select the applications that a user means, and never what must not be captured."""
+"""Rules select the applications that a user means; calls and what must not be captured are out."""
 
 import os
 from dataclasses import replace
@@ -10,9 +10,12 @@ from hypothesis import strategies as st
 
 from device.errors import UsageError
 from device.server.app_rules import AppRules, app_name
+from device.server.left_out import CALL, MIXED, LeftOut
 from device.server.snapshot import ServerSnapshot, Stream
 from device.stream.pcms import APPLICATION_ID, ROLE, TAG
+from tests.support.browser_streams import FELT, PLAYING, RECORDING, SCENES, felt, made, scenes
 from tests.support.snapshots import sink, snapshot, stream
+from tools.browser_streams import SCENES as RECORDED_SCENES
 
 NAMES = st.text(
     st.characters(codec="utf-8", exclude_characters="*?[]:", exclude_categories=("Cc", "Cs")),
@@ -127,3 +130,54 @@ def test_a_selection_keeps_the_order_and_more_rules_narrow_or_widen_it(streams, 
     if include:
         assert set(found) <= set(chosen([*include, "m*"], exclude))
         assert set(found) <= set(chosen([], exclude))
+
+
+def reasons(streams, microphones, left_out=LeftOut()):  # noqa: B008 - immutable
+    return [left_out.why(stream, microphones) for stream in streams]
+
+
+def call_of(browser, server):
+    return [made(browser, server, "call", what) for what in (PLAYING, RECORDING)]
+
+
+def test_every_scene_was_recorded_with_its_film_and_microphone():
+    for browser, server in FELT:
+        recorded = SCENES[browser][server]
+        assert recorded.keys() == RECORDED_SCENES.keys()
+        for scene, streams in recorded.items():
+            assert bool(streams[RECORDING]) == ("call" in scene or scene == "microphone")
+        assert FELT[browser, server].keys() <= recorded.keys()
+
+
+@pytest.mark.parametrize(("browser", "server", "scene"), scenes("pulse", "pipewire"))
+def test_a_browsers_film_is_felt_and_its_call_is_not(browser, server, scene):
+    playing, microphones = (made(browser, server, scene, what) for what in (PLAYING, RECORDING))
+    call = CALL if browser == "firefox-esr" else MIXED
+    films = felt(browser, server, scene)
+    expected = ["" if at in films else call for at in range(len(playing))]
+    assert reasons(playing, microphones) == expected
+    assert not any(reasons(playing, ()))
+    assert not any(reasons(playing, microphones, LeftOut(calls_and_alerts=True)))
+
+
+@pytest.mark.parametrize("browser", SCENES)
+def test_another_process_or_another_program_that_records_makes_no_call(browser):
+    (call,), (microphone,) = call_of(browser, "pipewire")
+    assert reasons([call], [replace(microphone, process_id=1), microphone]) != [""]
+    assert reasons([call], [replace(microphone, process_id=1)]) == [""]
+    assert reasons([call], [replace(microphone, application="Game")]) == [""]
+
+
+@pytest.mark.parametrize("browser", SCENES)
+@pytest.mark.parametrize(
+    "more", [{"role": "Music"}, {"role": "game"}, {"properties": {"node.latency": "960/48000"}}]
+)
+def test_a_role_of_its_own_or_a_latency_of_20_ms_makes_a_stream_no_call(browser, more):
+    (call,), microphones = call_of(browser, "pipewire")
+    assert reasons([replace(call, **more)], microphones) == [""]
+
+
+@pytest.mark.parametrize("latency", ["", "512", "512/0", "-1024/48000", "a/b", "959/48000"])
+def test_a_latency_that_is_short_or_cannot_be_read_leaves_a_call_a_call(latency):
+    (call,), microphones = call_of("firefox-esr", "pulse")
+    assert reasons([replace(call, properties={"node.latency": latency})], microphones) == [CALL]
