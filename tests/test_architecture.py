@@ -1,5 +1,3 @@
-"""Imports run down the table of docs/architecture.md; every public parameter is documented."""
-
 import ast
 import importlib
 import inspect

@@ -1,5 +1,3 @@
-"""What is felt and how loud it is, on signals with known answers; loudness is ISO 532-1's."""
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,7 +14,6 @@ TIME_S = np.arange(2 * SAMPLERATE) / SAMPLERATE
 
 
 def struck(at_s, decay_s=0.03, rise_s=0.002, frequency_hz=180.0):
-    """A tone that is struck once and dies away, 2 s in all."""
     since_s = TIME_S - at_s
     rise = np.clip(since_s / rise_s, 0.0, 1.0)
     fall = np.exp(-np.maximum(since_s, 0.0) / decay_s)
@@ -28,7 +25,6 @@ def modulated(depth, rate_hz):
 
 
 def beats_a_second(rate_hz):
-    """A tone that is off and on in turn."""
     return tone(200.0, 0.5, 2.0) * (TIME_S * rate_hz % 1.0 >= 0.5)
 
 

@@ -1,5 +1,3 @@
-"""Films put together by seed, and the measures on them, on signals with known answers."""
-
 from itertools import pairwise
 
 import numpy as np
@@ -9,17 +7,9 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.transform import TransformParameters
 from device.rig.rig import SHIPPED
+from tools.bench.measures import contrasts as seen
 from tools.bench.measures.classes import features, told_apart
-from tools.bench.measures.contrasts import (
-    added_db,
-    felt_levels_db,
-    heard_db,
-    levels_db,
-    loud_db,
-    rises_db,
-    standing_out,
-    strokes_db,
-)
+from tools.bench.measures.contrasts import added_db, levels_db, loud_db, standing_out
 from tools.bench.measures.loudness import STEP_S, loudness_sone
 from tools.bench.measures.match import PIECE_S, match, pieces_rms
 from tools.bench.measures.vibration import energy_under_db, steady_fit
@@ -35,7 +25,6 @@ SECOND = SAMPLERATE
 
 
 def made_sounds(a_class=3):
-    """Sounds of every class: noise, dying away where the class is one of strokes."""
     rng, found = np.random.default_rng(3), []
     for kind in KINDS:
         for number in range(a_class):
@@ -99,10 +88,12 @@ def test_impacts_over_music_differ_from_the_music_only_after_their_onset():
 def test_levels_are_of_a_sines_peak_and_of_what_is_heard_or_felt_of_it():
     assert levels_db(tone(100.0, 1.0, 1.0), SAMPLERATE)[200:] == pytest.approx(0.0, abs=0.02)
     assert levels_db(np.zeros(SECOND), SAMPLERATE) == pytest.approx(-70.0)  # nothing is felt
-    deep, high = (loud_db(heard_db(tone(hz, 0.5, 2.0), SAMPLERATE)) for hz in (20.0, 500.0))
+    deep, high = (loud_db(seen.heard_db(tone(hz, 0.5, 2.0), SAMPLERATE)) for hz in (20.0, 500.0))
     assert high == pytest.approx(-6.0, abs=0.1)
     assert deep < high - 20.0
-    one, other = (loud_db(felt_levels_db(tone(hz, 0.5, 2.0), SAMPLERATE)) for hz in (60.0, 120.0))
+    one, other = (
+        loud_db(seen.felt_levels_db(tone(hz, 0.5, 2.0), SAMPLERATE)) for hz in (60.0, 120.0)
+    )
     assert one - other == pytest.approx(6.0, abs=0.3)  # an octave
 
 
@@ -116,13 +107,13 @@ def test_strokes_stand_out_if_their_rise_is_larger_than_most_and_are_as_strong_a
     assert standing_out(np.full(20_000, -30.0), strokes) == 0.0
     levels = np.full(3_000, -30.0)
     levels[1_200], levels[1_800] = -10.0, 0.0
-    assert strokes_db(levels, np.array([1_000.0])) == pytest.approx([-10.0])
+    assert seen.strokes_db(levels, np.array([1_000.0])) == pytest.approx([-10.0])
 
 
 @given(st.lists(st.floats(-70.0, 0.0), min_size=300, max_size=600))
 @settings(max_examples=20)
 def test_a_rise_goes_to_the_highest_level_of_the_next_quarter_of_a_second(levels):
-    found = rises_db(np.array(levels))
+    found = seen.rises_db(np.array(levels))
     assert found.size == len(levels) - 250
     quarters = (levels[at : at + 251] for at in range(len(levels) - 250))
     assert found.tolist() == [max(quarter) - quarter[0] for quarter in quarters]

@@ -1,5 +1,3 @@
-"""Single sections: bounds, growth, measures on known sounds and motions, the flat inverse."""
-
 import math
 from dataclasses import replace
 
@@ -233,7 +231,6 @@ def scaled(rig, signal, level):
 
 
 def bumps(frequencies_hz, seconds=0.2):
-    """Tones that come and go together, (frames,)."""
     time_s = np.arange(round(seconds * RATE)) / RATE
     envelope = np.sin(np.pi * time_s / seconds) ** 2
     return envelope * sum(np.sin(math.tau * f * time_s) for f in frequencies_hz)

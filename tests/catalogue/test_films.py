@@ -1,5 +1,3 @@
-"""Sound tracks of films, made here with PyAV, and remote storages."""
-
 import json
 import os
 import re

@@ -14,7 +14,6 @@ from tests.support.signals import FORMS
 
 
 def captured(folder, tap, *options):
-    """A capture that works and has nothing to warn of; returns what it says."""
     done = commands.call("capture", folder, "--tap", tap, *options)
     assert (done.code, done.stderr, done.stdout.count("\n")) == (0, "", 1)
     return done.stdout
@@ -177,7 +176,6 @@ def folder(tmp_path):
 
 
 def warned(folder, out):
-    """The report and the warnings of a replay that works although something is wrong."""
     done = call("replay", folder, out, "--json")
     assert done.code == 0, done
     lines = done.stderr.splitlines()

@@ -1,5 +1,3 @@
-"""What `cushion devices` takes from driver and server, and words for an output that is muted."""
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

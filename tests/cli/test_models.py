@@ -24,7 +24,6 @@ def reported(source, folder, *options):
 
 
 def refusal(source, folder, rig):
-    """The error of a rendering by a rig, the text of a file; it leaves no file."""
     (folder / "mine.toml").write_text(rig, encoding="utf-8")
     out, felt = folder / "none.wav", folder / "no.wav"
     options = ("--rig", folder / "mine.toml", "--model", "nonlinear")

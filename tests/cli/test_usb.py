@@ -1,5 +1,3 @@
-"""`cushion usb describe` of dumps, and the words for a card's volume and mute."""
-
 import json
 import subprocess
 from collections.abc import Callable
@@ -30,7 +28,6 @@ KEYS = {  # of the document, and of its parts
 
 @pytest.fixture
 def describe(tmp_path: Path) -> Callable[..., Done]:
-    """Runs `cushion usb describe` on bytes, as xxd shows them, or on a text."""
 
     def run(shown: bytes | str, *options: str) -> Done:
         path = tmp_path / "dac.hex"

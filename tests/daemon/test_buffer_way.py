@@ -1,5 +1,3 @@
-"""A live buffer passes the files that docs/architecture.md lists, and no others."""
-
 import gc
 import re
 import sys

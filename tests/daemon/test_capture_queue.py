@@ -1,5 +1,3 @@
-"""Mixing for the output gives what mixing at once gives; what another order or config changes."""
-
 import math
 import sys
 import threading

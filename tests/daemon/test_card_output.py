@@ -296,7 +296,6 @@ class DaemonRig:
         return time.monotonic() + self.jumped_s
 
     def until(self, state: DaemonState, limit_s: float = 10.0) -> str:
-        """Tick until it is in that state; return the reason."""
         end_s = time.monotonic() + limit_s
         while True:
             self.run(0.02)

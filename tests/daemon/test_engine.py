@@ -1,5 +1,3 @@
-"""What the audio thread of the daemon runs, when it rests, and what it writes for a live page."""
-
 import itertools
 import threading
 from typing import Any

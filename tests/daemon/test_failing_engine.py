@@ -1,5 +1,3 @@
-"""A native engine that fails, hangs or does not start gives way to another one or to Python's."""
-
 import math
 from dataclasses import replace
 from types import SimpleNamespace
@@ -136,7 +134,6 @@ def chains(tmp_path):
 
 
 def chain(**changes: Any) -> RunningChain:
-    """A linked chain, which began at 0 s."""
     one = Mock(**{"plan": PLAN, "is_stopped": False, "complaint": "the design is cut"} | changes)
     one.page.frames = one.page.samplerate = 48_000
     one.page.faded_out.return_value = False

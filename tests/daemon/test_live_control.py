@@ -1,5 +1,3 @@
-"""What pages ask of a daemon that runs: checked as its config, applied, undone, saved."""
-
 import math
 import signal
 import subprocess
@@ -26,8 +24,6 @@ JUNK: list[Any] = ["junk", 60, [], {"x": 1}, False, None]
 
 
 class Daemon:
-    """`cushion run` of the demo's scene on the simulated cushion."""
-
     def __init__(self, folder: Path) -> None:
         self.config = folder / "config.toml"
         self.config.write_text(CONFIG)
@@ -61,7 +57,6 @@ class Daemon:
         return self.shown(key)["value"]
 
     def reason_at(self, offset_ms: float) -> str:
-        """Where the offset comes from, once it is this one."""
         for _ in range(50):
             if (found := self.watch("status"))["offset_ms"] == offset_ms:
                 return str(found["offset_reason"])

@@ -1,5 +1,3 @@
-"""The offset: which source and changes count, which sinks it is about, drop-in mode, its store."""
-
 import json
 import random
 from contextlib import nullcontext

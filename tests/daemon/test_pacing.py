@@ -1,5 +1,3 @@
-"""Paced jobs keep the time that their own counts say; what the status says of the engine."""
-
 import os
 import subprocess
 import time
@@ -19,8 +17,6 @@ BLOCK = 256
 
 
 class Blocks:
-    """A job: blocks of a rate, and when each was done."""
-
     def __init__(self, frames: int = BLOCK, blocks: int | None = None) -> None:
         self.error: Exception | None = None
         self.done_s: list[float] = []

@@ -32,7 +32,6 @@ BEFORE_S = 3.0  # more than the silence before and behind the vibration in a fil
 
 @pytest.fixture
 def folder(tmp_path):
-    """The environment of a daemon that is alone."""
     (tmp_path / "run").mkdir(mode=0o700)
     return {"XDG_RUNTIME_DIR": str(tmp_path / "run"), "XDG_CONFIG_HOME": str(tmp_path / "config")}
 

@@ -1,5 +1,3 @@
-"""What a run records is replayed bit for bit: any formats, any buffers, any settings."""
-
 import errno
 import json
 import os

@@ -1,5 +1,3 @@
-"""A coil is never taken for colder than it is, nor a dose for smaller, whatever ends a process."""
-
 import json
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
@@ -31,8 +29,6 @@ def text(local: datetime) -> str:
 
 
 class Time:
-    """Clocks of a machine, which go on when told to."""
-
     def __init__(self) -> None:
         self.moment = Moment("a boot", 1_000.0, NOON.timestamp(), text(NOON))
 
@@ -73,7 +69,6 @@ def begun(folder: Path, time: Time, device: str = "dac") -> tuple[SafetyKeeper, 
 
 
 def killed(folder: Path, time: Time, coil_c: float = 119.0, magnet_c: float = 60.0) -> Drive:
-    """A drive whose process was killed just before its next write."""
     keeper, drive = begun(folder, time)
     played(drive, 1.0)
     set_state(drive, coil_c, magnet_c)

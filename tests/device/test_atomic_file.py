@@ -1,5 +1,3 @@
-"""Files appear whole under their name, or not at all, and so does vibration in WAV files."""
-
 import contextlib
 import errno
 import os

@@ -1,5 +1,3 @@
-"""What the whole project shares: operations on blocks of frames, units and errors."""
-
 import math
 from collections.abc import Callable
 from typing import Any

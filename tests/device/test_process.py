@@ -1,5 +1,3 @@
-"""Processes of their own that fail, die or hang; interruptions in destructors are not lost."""
-
 import os
 import subprocess
 import sys

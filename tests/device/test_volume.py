@@ -1,5 +1,3 @@
-"""The haptic device's own volume: set once for each opening, and again where another is wanted."""
-
 import math
 
 import pytest

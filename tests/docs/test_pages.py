@@ -1,5 +1,3 @@
-"""What README.md, the pages of docs/ and their figures say is so, and their site builds."""
-
 import json
 import os
 import re

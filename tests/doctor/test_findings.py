@@ -43,7 +43,6 @@ ELSEWHERE = {"no-device", "no-device-chosen", "no-alsa-plugin", "daemon-silent"}
 
 
 def graph(*items: Item, **clock: object) -> Graph:
-    """The graph at 48 kHz of the healthy set-up, with other objects or settings of the clock."""
     settings = {"rate": 48_000, "allowed-rates": "[ 48000 ]", "quantum": 1_024}
     settings |= {key.replace("_", "-"): value for key, value in clock.items()}
     listed = [{"key": f"clock.{key}", "value": value} for key, value in settings.items()]

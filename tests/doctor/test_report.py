@@ -1,5 +1,3 @@
-"""The report: which names it leaves out, its delay, and what it reads of folders and journal."""
-
 import json
 from dataclasses import replace
 

@@ -48,7 +48,6 @@ def entry(value, name="halving"):
 
 
 def library(arguments):
-    """The source of a package with a library L."""
     return (
         "from audioflinger_hook.effect.haptic import HAPTIC_CUSHION, HapticEffect\n"
         "from audioflinger_hook.effect.registry import EffectLibrary\n"
@@ -57,7 +56,6 @@ def library(arguments):
 
 
 def installed(site, source=HALVER, package="halver_package", value="LIBRARY", **options):
-    """The effects that there are with one package more."""
     site(package, source, entry(f"{package}:{value}"), **options)
     return EffectRegistry.installed()
 

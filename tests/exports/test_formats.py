@@ -1,5 +1,3 @@
-"""Every format is what its readers take and keeps its limits; WAV and FLAC hold the vibration."""
-
 import json
 import re
 import threading
@@ -172,7 +170,6 @@ def test_transients_of_ahap_undo_what_the_curve_takes_from_them(tmp_path: Path) 
 
 
 def spectrum(vibration: Any, rate_hz: int) -> Any:
-    """Return the Fourier transform from 20 to 220 Hz, in steps of 0.1 Hz."""
     turn = np.exp(-2j * np.pi * 0.1 / rate_hz)
     return czt(vibration, 2_000, turn, np.exp(2j * np.pi * 20.0 / rate_hz)) / rate_hz
 

@@ -108,14 +108,12 @@ def exact_line(count, delay_s=0.0, rate=RATE, ppm=0.0):
 
 
 def rendered(sound):
-    """The levels of what a daemon should play."""
     rendering = Rendering(RATE, Settings())
     rendering.add(sound)
     return rendering.trace
 
 
 def live(sound):
-    """What a daemon plays: the live form, late by its own latency."""
     return HapticTransform(RATE, 1).process(sound)[:, 0]
 
 

@@ -1,5 +1,3 @@
-"""What left, right, front and back are made of, and where a track's channels go in the mix."""
-
 import math
 
 import numpy as np

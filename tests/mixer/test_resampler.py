@@ -22,14 +22,12 @@ EACH_PAIR = pytest.mark.parametrize(("rate_in", "rate_out"), PAIRS)
 
 
 def produced(resampler, count, channels=1):
-    """The next frames that come out."""
     frames = np.full((count, channels), np.nan, np.float32)
     resampler.produce(frames)
     return frames
 
 
 def resampled(source, rate_in, rate_out, count):
-    """The first `count` output frames, in one go."""
     resampler = Resampler(rate_in, rate_out, source.shape[1], count)
     resampler.feed(source[: resampler.frames_needed(count)])
     return produced(resampler, count, source.shape[1])

@@ -142,7 +142,6 @@ def page(base: Path, *options: str) -> Iterator[Page]:
 
 
 def everything(live: ClientConnection) -> None:
-    """Read until the connection is closed, which raises."""
     for _ in range(1000):
         live.recv(timeout=LIMIT_S)
 

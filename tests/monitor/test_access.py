@@ -1,5 +1,3 @@
-"""Nobody sees or changes anything without the key, and no other page may try."""
-
 import json
 import os
 import re

@@ -1,5 +1,3 @@
-"""The page's server: what browsers are told, frames, and daemons that misbehave."""
-
 import json
 import shutil
 import signal
@@ -277,7 +275,6 @@ def native(tmp_path):
 
 
 def play(native: NativePage, hz: float) -> None:
-    """Write as the plugin does at the end of a buffer."""
     written = native.readings
     written.partials_count = 1
     written.partials[0][:] = (hz, 100.0, 0.25)

@@ -121,7 +121,6 @@ def source(tmp_path_factory):
 
 
 def assert_same(units, oracle):
-    """What was found is what the independent implementation finds, to rounding."""
     assert [unit.unit for unit in units] == list(range(len(oracle)))
     for unit, expected in zip(units, oracle, strict=True):
         found, wanted = (

@@ -87,7 +87,6 @@ def test_a_band_that_the_rate_cannot_hold_is_refused_in_the_transforms_own_words
 
 
 def failing_after(buffers, monkeypatch):
-    """Make every transform raise from its so-manyth block on."""
     process, seen = HapticTransform.process, itertools.count()
 
     def fail(self, audio):
@@ -170,7 +169,6 @@ def scene(mix):
 
 @pytest.fixture(scope="module")
 def scene_file(mix, tmp_path_factory):
-    """The scene's mixdown as a sound file, exact."""
     return sound(tmp_path_factory.mktemp("scene") / "scene.wav", mix)
 
 
@@ -181,12 +179,10 @@ def expected(mix):
 
 
 def played(frames, blocksize):
-    """A client that plays frames in buffers of one size."""
     return TapClient(FramesTap(frames, RATE, blocksize))
 
 
 def run(client, settings, outputs):
-    """Step a chain to its end and return its steps."""
     framework = Framework(client.samplerate, client.channels, settings)
     latency = framework.latency_frames
     chain = Pipeline(client, framework, [AlignedOutput(output, latency) for output in outputs])

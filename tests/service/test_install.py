@@ -1,5 +1,3 @@
-"""The user unit, the udev rule, and the start at login: by systemd or else by the desktop."""
-
 import configparser
 import os
 import shlex
@@ -35,7 +33,6 @@ def line_of(text: str, key: str) -> str:
 
 
 def complaints(text: str, folder: Path) -> str:
-    """Return what systemd says about a unit, "" if it has nothing to say."""
     path = folder / "cushion.service"
     path.write_text(text)
     environ = {"PATH": os.environ["PATH"], "HOME": str(folder), "XDG_RUNTIME_DIR": str(folder)}

@@ -1,5 +1,3 @@
-"""The runtime folder is private, and one daemon holds it at a time."""
-
 import json
 import os
 import signal

@@ -1,5 +1,3 @@
-"""What a daemon knows of itself: states, waits, watchdog, levels, times; what systemd is told."""
-
 import math
 import os
 import socket
@@ -124,7 +122,6 @@ def test_who_asks_as_often_as_told_feeds_within_half_the_period(period_s, steps)
 
 @pytest.fixture(params=["path", "abstract"])
 def manager(request, tmp_path):
-    """A service manager's socket, and the name of it that a service is given."""
     folder = os.open(tmp_path, os.O_PATH)  # pytest's folders may be deeper than an address is long
     path, abstract = f"/proc/self/fd/{folder}/notify", f"@{tmp_path.name}-{os.getpid()}"
     given = path if request.param == "path" else abstract

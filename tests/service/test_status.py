@@ -1,5 +1,3 @@
-"""The status document and its view."""
-
 import io
 import json
 import math

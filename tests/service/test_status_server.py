@@ -1,5 +1,3 @@
-"""The status server answers its user and is hurt by nobody."""
-
 import contextlib
 import json
 import os
@@ -45,8 +43,6 @@ sys.stdin.read()
 
 
 class Daemon:
-    """A server in a folder of its own, and its clients."""
-
     def __init__(self, base: str) -> None:
         self.environ = {"XDG_RUNTIME_DIR": base}
         self.folder = RuntimeFolder(self.environ, create=True)

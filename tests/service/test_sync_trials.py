@@ -1,5 +1,3 @@
-"""The estimate of a person's delay: found in a minute, and honest about what it does not know."""
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Watching and controlling a daemon by its socket: bounded, versioned, in order, newest first."""
-
 import json
 import socket
 import threading

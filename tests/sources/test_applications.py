@@ -19,7 +19,6 @@ def a_mix(*names):
 
 
 def mixed(mixer, client):
-    """Do the cycles that are due."""
     return np.concatenate([level(0.0, 0), *cycles(client, mixer)])[:, 0]
 
 

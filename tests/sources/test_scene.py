@@ -21,7 +21,6 @@ def track(frames, start=0, **options):
 
 
 def played(scene, cycle_frames):
-    """What is heard of a scene in cycles of so many frames."""
     client = SceneClient(scene, cycle_frames)
     blocks = mixed(client, mixer_for(client))
     assert max(map(len, blocks)) <= cycle_frames

@@ -1,5 +1,3 @@
-"""A tap on a track, and a capture as a tap: bit for bit and without a gap, through any change."""
-
 import math
 
 import numpy as np
@@ -32,7 +30,6 @@ def connected(tap, samplerate=0, channels=0):
 
 
 def heard(client, mixer):
-    """Everything that is mixed until the client ends, a block a cycle."""
     blocks = mixed(client, mixer)
     assert client.play() is None
     return blocks
@@ -144,7 +141,6 @@ def test_another_format_goes_on_in_the_mix_of_the_first():
 
 
 def captured(folder, *buffers, stream="tap"):
-    """Write buffers at 48 kHz as a capture, and return its folder."""
     with CaptureWriter(folder, streams=(stream,)) as writer:
         for frames in buffers:
             writer.write_buffer(stream, frames, 48_000, 0.0)

@@ -76,7 +76,6 @@ def stored_energy_j(e: Energies, x: FloatArray, i: FloatArray) -> FloatArray:
 
 
 def energy_of(model: Model) -> Energy:
-    """Return a rig at rest that moves by one model."""
     p = PAPER.actuator
     e = energies(p, None if model == "linear" else PAPER.large_signal)
     actuator = AdaptiveActuator(PAPER, SAMPLERATE, model=model)

@@ -1,5 +1,3 @@
-"""The design as bytes, the same on every library. Its filters and spectra are SciPy's."""
-
 import pickle
 import struct
 import zlib

@@ -1,5 +1,3 @@
-"""The reference form against an independent implementation; how strong each law makes a tone."""
-
 from functools import partial
 from itertools import pairwise
 

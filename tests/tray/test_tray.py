@@ -1,5 +1,3 @@
-"""The tray icon, beside a private session bus with a stand-in for the desktop's tray."""
-
 import asyncio
 import os
 import shutil

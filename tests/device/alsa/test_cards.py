@@ -1,5 +1,3 @@
-"""Which sound cards there are, what they offer, who plays there, and how one is opened."""
-
 import os
 import re
 from pathlib import Path
@@ -10,20 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from device.alsa import cards as alsa
-from device.alsa.offers import (
-    ASSUMED,
-    MAX_HZ,
-    MIN_HZ,
-    PREFERRED,
-    USUAL_MIN_HZ,
-    CardSetup,
-    Rates,
-    UsbFormat,
-    choose_setup,
-    measure_rate,
-    parse_usb_stream,
-    read_usb_stream,
-)
+from device.alsa import offers as card_offers
+from device.alsa.offers import MAX_HZ, CardSetup, Rates, UsbFormat, choose_setup, parse_usb_stream
 from device.errors import NotFoundError, UsageError
 from device.stream.sample_format import SampleFormat
 from tests.support.sound_cards import ADAPTIVE, ASYNC, HW_PARAMS, RUNNING, Cards
@@ -90,7 +76,7 @@ def test_an_input_is_found_by_its_cards_name_and_offers_its_own_formats(cards, t
     capture = alsa.find_capture("DAC", cards.root)
     assert (str(capture), capture.folder.name) == ("hw:DAC,0", "pcm0c")
     assert alsa.why_blocked(capture, tmp_path) is None
-    stream: Any = read_usb_stream(capture)
+    stream: Any = card_offers.read_usb_stream(capture)
     assert stream.formats == (UsbFormat(2, 1, ("S16_LE",), 1, Rates((8_000,)), 0, "SYNC"),)
     cards.use(31, 77, "pcm0c")
     assert "hw:DAC,0 is in use" in (alsa.why_blocked(capture, tmp_path, tmp_path) or "")
@@ -98,8 +84,10 @@ def test_an_input_is_found_by_its_cards_name_and_offers_its_own_formats(cards, t
 
 
 def test_a_usb_card_alone_tells_its_formats_of_playback_and_a_range_of_rates_is_one(cards):
-    assert read_usb_stream(alsa.find_playback("PCH", cards.root)) is None
-    assert read_usb_stream(alsa.find_playback("DAC", cards.root)) == parse_usb_stream(ASYNC)
+    assert card_offers.read_usb_stream(alsa.find_playback("PCH", cards.root)) is None
+    assert card_offers.read_usb_stream(alsa.find_playback("DAC", cards.root)) == parse_usb_stream(
+        ASYNC
+    )
     first, second, third = parse_usb_stream(ASYNC).formats
     rates = Rates((44_100, 48_000, 88_200, 96_000, 176_400, 192_000))
     assert first == UsbFormat(1, 1, ("S16_LE",), 2, rates, 16, "ASYNC")
@@ -133,9 +121,9 @@ def test_the_rate_of_the_device_s_own_clock_is_that_of_its_feedback(now, measure
 def test_it_is_compared_with_the_rate_that_the_card_was_opened_with(tmp_path):
     folder = Cards(tmp_path).plug(1, "DAC", stream=RUNNING)
     playback = alsa.find_playback("1", tmp_path)
-    assert measure_rate(playback) is None
+    assert card_offers.measure_rate(playback) is None
     (folder / "pcm0p/sub0/hw_params").write_text(HW_PARAMS.format("S32_LE", 2, 48_000))
-    found: Any = measure_rate(playback)
+    found: Any = card_offers.measure_rate(playback)
     assert (found.nominal_hz, round(found.ppm, 2)) == (48_000, 40.69)
 
 
@@ -206,7 +194,7 @@ USUAL = Rates((44_100, 48_000, 96_000))
 some_hz = st.sampled_from([8_000, 44_100, 48_000, 88_200, 96_000, 192_000, 384_000])
 listed = st.lists(some_hz, unique=True).map(lambda some: Rates(tuple(sorted(some))))
 ranges = st.builds(Rates, least=st.integers(4_000, 50_000), most=st.integers(50_000, 400_000))
-formats = st.lists(st.sampled_from(PREFERRED), unique=True).map(tuple)
+formats = st.lists(st.sampled_from(card_offers.PREFERRED), unique=True).map(tuple)
 bits = st.sampled_from([0, 16, 24, 32])
 offers = st.builds(offer, formats, st.integers(1, 8), listed | ranges, bits)
 
@@ -265,8 +253,8 @@ def test_there_are_as_many_channels_as_actuators_and_few_more(there, actuators, 
 def test_the_rate_comes_before_the_resolution_and_what_is_not_there_or_not_told_is_left_out():
     some = [offer((S16,), 2, Rates((48_000,)), 16), offer((S32,), 2, Rates((96_000,)), 32)]
     assert choose_setup(some, 48_000, 1) == CardSetup(S16, 48_000, 2)
-    assert choose_setup(ASSUMED, 48_000, 1) == CardSetup(S32, 48_000, 2)
-    assert choose_setup(ASSUMED, 48_000, 1, without={S32}) == CardSetup(S16, 48_000, 2)
+    assert choose_setup(card_offers.ASSUMED, 48_000, 1) == CardSetup(S32, 48_000, 2)
+    assert choose_setup(card_offers.ASSUMED, 48_000, 1, without={S32}) == CardSetup(S16, 48_000, 2)
     assert choose_setup(parse_usb_stream(ASYNC).formats, 48_000, 2) == CardSetup(S32, 48_000, 2)
     assert choose_setup(parse_usb_stream(ADAPTIVE).formats, 48_000, 2) == CardSetup(S24, 48_000, 8)
 
@@ -293,10 +281,10 @@ def test_a_choice_is_always_something_that_the_card_has(some, mix, actuators):
         chosen = choose_setup(some, mix, actuators)
     except NotFoundError:
         rates = [rate for one in fit for rate in one.rates.single]
-        assert not any(MIN_HZ <= rate <= MAX_HZ for rate in rates)
+        assert not any(card_offers.MIN_HZ <= rate <= MAX_HZ for rate in rates)
         return
-    assert MIN_HZ <= chosen.samplerate <= MAX_HZ
+    assert card_offers.MIN_HZ <= chosen.samplerate <= MAX_HZ
     like = [one for one in fit if chosen.sample_format.value in one.formats]
     assert any(chosen.channels == one.channels and chosen.samplerate in one.rates for one in like)
     has_mix = any(mix in one.rates for one in fit)
-    assert not has_mix or not USUAL_MIN_HZ <= mix <= MAX_HZ or chosen.samplerate == mix
+    assert not has_mix or not card_offers.USUAL_MIN_HZ <= mix <= MAX_HZ or chosen.samplerate == mix

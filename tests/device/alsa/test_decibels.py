@@ -1,5 +1,3 @@
-"""What a driver's table says of a volume's steps, and that no step is taken that is too loud."""
-
 import functools
 import math
 from typing import Any

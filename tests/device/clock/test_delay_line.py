@@ -1,5 +1,3 @@
-"""The delay stays on its target for days: simulated clocks, real delay line."""
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,5 +1,3 @@
-"""Stalls, starvation and hostile calls: the delay line returns to its target."""
-
 import tracemalloc
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor

@@ -1,5 +1,3 @@
-"""Frames between frames, and the newest frames of a stream."""
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,5 +1,3 @@
-"""Callback times without their lateness, and the loop that steers the delay, each alone."""
-
 import itertools
 import math
 from typing import Any

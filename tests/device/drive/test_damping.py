@@ -1,5 +1,3 @@
-"""Damping: what is left after a burst, against the limits, live; what is done for a rig."""
-
 import math
 from dataclasses import replace
 from typing import Any

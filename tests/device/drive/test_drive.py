@@ -1,5 +1,3 @@
-"""Several actuators: routing, level, polarity, delay, their own rigs, and their channels."""
-
 from typing import Any
 
 import numpy as np
@@ -26,7 +24,6 @@ RIGHT = ActuatorSettings((1,), "right")
 
 
 def cut(signal, lengths):
-    """The signal in blocks of these lengths, over and over."""
     start, turn = 0, 0
     while start < len(signal):
         stop = start + lengths[turn % len(lengths)]

@@ -1,5 +1,3 @@
-"""Protection of an actuator that is a tenth off, whatever its frame stands on: every drive."""
-
 import math
 from dataclasses import replace
 

@@ -1,5 +1,3 @@
-"""Protection: no drive makes a rig exceed its limits, and none is touched without need."""
-
 import math
 from dataclasses import replace
 from itertools import product
@@ -50,14 +48,12 @@ def protect(rig, drive, samplerate=RATE, **options):
 
 
 def is_untouched(rig, drive, **options):
-    """Whether a drive leaves as it is, only later."""
     protector, out = protect(rig, drive, **options)
     latency = protector.latency_frames
     return np.array_equal(out[latency : latency + len(drive)], drive.astype(np.float32))
 
 
 def warmest_c(protector, blocks):
-    """The coil's largest temperature after any of some blocks, (blocks, frames)."""
     warmest = []
     for block in blocks:
         protector.process(block[:, None])

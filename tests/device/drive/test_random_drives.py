@@ -1,5 +1,3 @@
-"""Protection on drives of a generator and of the bench, on rigs that are a tenth off."""
-
 from dataclasses import replace
 from itertools import product
 from operator import attrgetter

@@ -1,5 +1,3 @@
-"""Rigs and their files: what ships, what follows from parameters, and which ones are refused."""
-
 import math
 from dataclasses import asdict, fields, replace
 

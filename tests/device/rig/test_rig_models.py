@@ -1,5 +1,3 @@
-"""The rig's two models against `solve_ivp`, their energy, and the choice between them."""
-
 import math
 from dataclasses import replace
 from functools import cache
@@ -54,7 +52,6 @@ def columns(motion, names=QUANTITIES):
 
 
 def errors(got, expected):
-    """Largest error of each row over its largest value."""
     return np.abs(got - expected).max(axis=1) / np.abs(expected).max(axis=1)
 
 
@@ -291,7 +288,6 @@ def swell(duration_s=1.6):
 
 
 def moved_by(actuator, parts, names=QUANTITIES):
-    """The motion by some parts of a signal, (names, frames)."""
     return np.concatenate([columns(actuator.move(part), names) for part in parts], axis=1)
 
 

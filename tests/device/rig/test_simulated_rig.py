@@ -1,5 +1,3 @@
-"""The twin and its stages, in volts as the instruments show them; its soaks in short."""
-
 import math
 from dataclasses import replace
 from itertools import count

@@ -20,7 +20,6 @@ from tests.support.graphs import Item, desktop, gone, link, node, play, port
 
 
 def one_link(*pairs: LinkPair, made: Mapping[str, str] | None = None) -> Any:
-    """One link from a monitor of `desk` to the chain's tap."""
     known = {"links": lambda _: frozenset(pairs or ((13, 41),)), "made_nodes": lambda: made or {}}
     return SimpleNamespace(nodes=lambda _: {40}, **known)
 
@@ -140,7 +139,6 @@ def latency(direction: str, **units: float) -> Item:
 
 
 def declaring(*latencies: Item) -> Graph:
-    """Sinks of which `desk` declares a latency at its first port."""
     graph, left = desktop(), port(11, 10, "playback_FL")
     left["info"]["params"] = {"Latency": list(latencies)}
     graph.apply([left])

@@ -1,5 +1,3 @@
-"""What a server's snapshot tells: devices, volumes, our loopbacks, and when it is outdated."""
-
 import math
 import os
 import re

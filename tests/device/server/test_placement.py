@@ -1,5 +1,3 @@
-"""A stream is audible only on its own device; rules select the applications that are captured."""
-
 import os
 from dataclasses import replace
 from types import SimpleNamespace

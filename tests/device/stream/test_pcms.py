@@ -1,5 +1,3 @@
-"""What streams set up in a process: a private ALSA configuration, and real-time priority."""
-
 import ctypes
 import os
 import re

@@ -1,5 +1,3 @@
-"""Requests to a device: what PyUSB is asked, sent and understood; never louder than meant."""
-
 import array
 import errno
 import math
@@ -252,7 +250,6 @@ def _chosen_anew() -> Iterator[None]:
 
 @pytest.fixture
 def device(tree):
-    """A DAC of which the kernel tells its ids and its product, and no more."""
     tree.plug(manufacturer=None, product="DAC", serial=None, descriptors=None)
     return tree.only
 

@@ -1,5 +1,3 @@
-"""Descriptors in the shapes that exist are read and played; of damaged ones the rest is."""
-
 import functools
 
 import pytest

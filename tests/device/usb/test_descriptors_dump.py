@@ -1,5 +1,3 @@
-"""Files that people send give their bytes, and none make the parser fail otherwise than it may."""
-
 import gc
 import random
 import resource
@@ -12,14 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
 
-from device.usb.descriptors import (
-    DescriptorError,
-    hex_lines,
-    parse_configuration,
-    parse_dump,
-    parse_whole,
-    playback_formats,
-)
+from device.usb import descriptors
+from device.usb.descriptors import DescriptorError, parse_configuration, parse_dump, parse_whole
 from device.usb.descriptors.dump import parse_hex
 from tests.support import usb_builder as usb
 from tests.support.usb_shapes import SHAPES
@@ -136,7 +128,9 @@ def test_a_raw_file_is_taken_as_it_is(shape):
 
 def test_a_description_is_read_by_its_bytes_and_names_of_fields_in_comments_are_none():
     raws = (usb.device() + SHAPES["composite"], SHAPES["async_dac"])
-    text = "".join("\n".join(["device 1", "bytes:", *hex_lines(raw), "", ""]) for raw in raws)
+    text = "".join(
+        "\n".join(["device 1", "bytes:", *descriptors.hex_lines(raw), "", ""]) for raw in raws
+    )
     assert parse_dump(text.encode()) == raws
     raw = usb.device()
     text = f"{{ 0x12, // bLength\n 0x01, /* bDescriptorType 1 */\n {raw[2:].hex(' ')} }}"
@@ -241,7 +235,6 @@ def xxd(raw):
 
 
 def hexdump(raw):
-    """As `hexdump -C` shows it."""
     halves = ((at, row[:8].hex(" "), row[8:].hex(" "), shown) for at, row, shown in rows(raw))
     lines = (f"{at:08x}  {left:<23}  {right:<23}  |{shown}|\n" for at, left, right, shown in halves)
     return "".join(lines) + f"{len(raw):08x}"
@@ -287,7 +280,7 @@ def exercise(raw: bytes) -> bool:
     except DescriptorError:
         return False
     assert configuration.raw == raw
-    playback_formats(configuration)
+    descriptors.playback_formats(configuration)
     whole = parse_whole(raw)
     assert b"".join(one.raw for one in whole.configurations) + whole.rest == whole.raw == raw
     whole.active(None)

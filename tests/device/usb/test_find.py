@@ -1,5 +1,3 @@
-"""What is found of USB audio devices in /sys, by which names, and what is said where nothing is."""
-
 import os
 from pathlib import Path
 

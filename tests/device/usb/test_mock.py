@@ -25,7 +25,6 @@ NO_SUPERUSER = ("setpriv", "--bounding-set=-dac_override,-dac_read_search", "--i
 
 
 def why_not() -> str:
-    """What is missing for these tests, "" for nothing."""
     if not shutil.which("umockdev-wrapper"):
         return "umockdev is missing; run tools/fetch_usb_mock.sh"
     if not shutil.which("lsusb"):
