@@ -13,6 +13,7 @@ import pytest
 
 import audioflinger_hook
 import device
+from tools.guards import MUTATIONS, Mutation
 
 ROOT = Path(__file__).resolve().parents[1]
 TOP_LEVEL = ("audioflinger_hook", "device")
@@ -186,3 +187,10 @@ def test_every_parameter_of_a_public_callable_is_documented(name: str, thing: An
 
 def test_the_packages_offer_something() -> None:
     assert len(public_callables()) > 50
+
+
+@pytest.mark.parametrize("mutation", MUTATIONS, ids=[one.guard for one in MUTATIONS])
+def test_each_guard_is_where_the_list_says_and_has_its_test(mutation: Mutation) -> None:
+    assert (ROOT / mutation.file).read_text("utf-8").count(mutation.old) == 1
+    file, _, name = mutation.test.partition("::")
+    assert f"def {name}" in (ROOT / file).read_text("utf-8")

@@ -19,7 +19,7 @@ from device.rig.adaptive_actuator import MARGIN, STATE_NUMBERS, AdaptiveActuator
 from device.rig.co_energy import Arctangent, Hardening, Line, Stops, Tanh, energies
 from device.rig.equations import Equations
 from device.rig.thermal import Temperatures
-from tests.support.rig_soak import stored_energy_j
+from tests.support.soak import stored_energy_j
 from tools.bench.measures.solved_motion import solved_motion
 from tools.bench.sections.model_selection import block_errors, hard_drives
 

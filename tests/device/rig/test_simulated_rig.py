@@ -16,11 +16,10 @@ from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.electronics import Amplifier, Dac, InstrumentChain
 from device.rig.parameters import AmplifierParameters, DacParameters
 from device.rig.simulated_rig import SimulatedRig
-from tests.support import rig_soak
+from tests.support import soak
 from tests.support.outputs import KeptOutput
 from tests.support.random_rigs import Found
-from tests.support.rig_soak import soak_energy, steady_drive
-from tests.support.soak import soak_identification
+from tests.support.soak import soak_energy, soak_identification, steady_drive
 from tools.bench.sections import kept_records
 from tools.bench.sounds.signals import SAMPLERATE
 from tools.bench.workbench import QUICK, SUBJECTS, Workbench
@@ -255,12 +254,12 @@ def test_the_drive_is_loud_enough_to_be_non_linear_and_goes_on_in_a_loop():
 
 
 def test_a_model_that_gains_a_millionth_in_each_loop_is_found_out(monkeypatch):
-    moved, moves = rig_soak.energy_of("linear"), count(1)
+    moved, moves = soak.energy_of("linear"), count(1)
 
     def louder(volts):
         return moved(volts) * (1.0 + 1e-6 * next(moves))
 
-    monkeypatch.setattr(rig_soak, "energy_of", lambda _: louder)
+    monkeypatch.setattr(soak, "energy_of", lambda _: louder)
     record = soak_energy("linear", 3_000_000)
     assert ((record.energy_creep or 0.0) > 1e-6, record.passed) == (True, False)
 
@@ -268,9 +267,9 @@ def test_a_model_that_gains_a_millionth_in_each_loop_is_found_out(monkeypatch):
 def test_energy_that_rises_after_the_drive_is_found_out_while_there_is_any():
     energy = np.exp(-0.01 * np.arange(6_000))
     energy[5_000] *= 2.0  # 2e-22 of what it was
-    assert rig_soak.largest_rise(energy) == 0.0
+    assert soak.largest_rise(energy) == 0.0
     energy[1_000] = energy[999] * 1.001
-    assert rig_soak.largest_rise(energy) == pytest.approx(1e-3)
+    assert soak.largest_rise(energy) == pytest.approx(1e-3)
 
 
 @pytest.mark.exhaustive
