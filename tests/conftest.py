@@ -1,5 +1,3 @@
-"""Settings and fixtures that tests share."""
-
 import importlib
 import os
 import signal

@@ -1,5 +1,3 @@
-"""The manual page and the completions name all that the parser knows, and parse."""
-
 import shutil
 import subprocess
 import tomllib

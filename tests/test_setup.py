@@ -1,5 +1,3 @@
-"""The set-up: what the wheel holds, what the Makefile offers, and the scripts behind it."""
-
 import importlib.util
 import os
 import re

@@ -55,7 +55,7 @@ while [ "$round" -lt "$rounds" ]; do
             -k 'not no_more_memory and not memory_back' \
             tests/transform/test_exact.py tests/transform/test_kernel.py tests/transform/test_analysis.py \
             tests/transform/test_parameters.py tests/transform/test_downmix.py tests/core tests/device/drive \
-            tests/device/test_blocks.py tests/device/clock/test_ring.py
+            tests/device/test_blocks.py tests/device/clock/test_delay_line.py
     ) || {
         cat "$scratch"/report* >&2 || true # a process that ends in the middle of a test says why in there
         exit 1

@@ -1,5 +1,3 @@
-"""Films put together by seed, and the measures on them, on signals with known answers."""
-
 from itertools import pairwise
 
 import numpy as np
@@ -7,35 +5,29 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from audioflinger_hook.baselines import centroid, envelope, octave_fold
 from audioflinger_hook.transform import TransformParameters
 from device.rig.rig import SHIPPED
+from tests.support.signals import level_db
+from tools.bench.baselines import BASELINES
+from tools.bench.measures import contrasts as seen
 from tools.bench.measures.classes import features, told_apart
-from tools.bench.measures.contrasts import (
-    added_db,
-    felt_levels_db,
-    heard_db,
-    levels_db,
-    loud_db,
-    rises_db,
-    standing_out,
-    strokes_db,
-)
+from tools.bench.measures.contrasts import added_db, levels_db, loud_db, standing_out
 from tools.bench.measures.loudness import STEP_S, loudness_sone
 from tools.bench.measures.match import PIECE_S, match, pieces_rms
-from tools.bench.measures.vibration import energy_under_db, steady_fit
+from tools.bench.measures.vibration import energy_under_db, sine_fit, steady_fit
 from tools.bench.methods import Method
 from tools.bench.sections import felt_films, felt_singles
 from tools.bench.sections.felt_films import Contrasts, contrasts, heard_contrasts, missed
 from tools.bench.sections.felt_rigs import over_dialogue
 from tools.bench.sounds.films import LAYOUTS, Film, film, from_onset, going_on, impacts_over_music
 from tools.bench.sounds.real_sounds import KINDS, RealSound
-from tools.bench.sounds.signals import SAMPLERATE, pink_noise, tone
+from tools.bench.sounds.signals import SAMPLERATE, pink_noise, tone, white_noise
 
 SECOND = SAMPLERATE
 
 
 def made_sounds(a_class=3):
-    """Sounds of every class: noise, dying away where the class is one of strokes."""
     rng, found = np.random.default_rng(3), []
     for kind in KINDS:
         for number in range(a_class):
@@ -99,10 +91,12 @@ def test_impacts_over_music_differ_from_the_music_only_after_their_onset():
 def test_levels_are_of_a_sines_peak_and_of_what_is_heard_or_felt_of_it():
     assert levels_db(tone(100.0, 1.0, 1.0), SAMPLERATE)[200:] == pytest.approx(0.0, abs=0.02)
     assert levels_db(np.zeros(SECOND), SAMPLERATE) == pytest.approx(-70.0)  # nothing is felt
-    deep, high = (loud_db(heard_db(tone(hz, 0.5, 2.0), SAMPLERATE)) for hz in (20.0, 500.0))
+    deep, high = (loud_db(seen.heard_db(tone(hz, 0.5, 2.0), SAMPLERATE)) for hz in (20.0, 500.0))
     assert high == pytest.approx(-6.0, abs=0.1)
     assert deep < high - 20.0
-    one, other = (loud_db(felt_levels_db(tone(hz, 0.5, 2.0), SAMPLERATE)) for hz in (60.0, 120.0))
+    one, other = (
+        loud_db(seen.felt_levels_db(tone(hz, 0.5, 2.0), SAMPLERATE)) for hz in (60.0, 120.0)
+    )
     assert one - other == pytest.approx(6.0, abs=0.3)  # an octave
 
 
@@ -116,13 +110,13 @@ def test_strokes_stand_out_if_their_rise_is_larger_than_most_and_are_as_strong_a
     assert standing_out(np.full(20_000, -30.0), strokes) == 0.0
     levels = np.full(3_000, -30.0)
     levels[1_200], levels[1_800] = -10.0, 0.0
-    assert strokes_db(levels, np.array([1_000.0])) == pytest.approx([-10.0])
+    assert seen.strokes_db(levels, np.array([1_000.0])) == pytest.approx([-10.0])
 
 
 @given(st.lists(st.floats(-70.0, 0.0), min_size=300, max_size=600))
 @settings(max_examples=20)
 def test_a_rise_goes_to_the_highest_level_of_the_next_quarter_of_a_second(levels):
-    found = rises_db(np.array(levels))
+    found = seen.rises_db(np.array(levels))
     assert found.size == len(levels) - 250
     quarters = (levels[at : at + 251] for at in range(len(levels) - 250))
     assert found.tolist() == [max(quarter) - quarter[0] for quarter in quarters]
@@ -262,3 +256,82 @@ def test_floors_are_asked_only_over_both_halves_of_the_sounds(monkeypatch):
         assert bool(rows["6 classes told apart"].must) == asked
         assert rows["match under 70"].must
         assert ("match under 70, reported half" in rows) == asked
+
+
+SUBJECTS = {subject.name: subject for subject in BASELINES}
+OTHER_RATES = (pytest.param(hz, marks=pytest.mark.exhaustive) for hz in (8_000, 44_100, 192_000))
+RATES = (48_000, *OTHER_RATES)
+
+
+def felt(name, frequency_hz, amplitude=0.3, samplerate=SAMPLERATE):
+    """The settled second half of a second of a tone's vibration."""
+    sound = tone(frequency_hz, amplitude, 1.0, samplerate)
+    return SUBJECTS[name].vibration(sound, samplerate)[samplerate // 2 :]
+
+
+EVERY = pytest.mark.parametrize("name", list(SUBJECTS))
+
+
+@EVERY
+@pytest.mark.parametrize("samplerate", RATES)
+def test_silence_gives_silence(name, samplerate):
+    assert not SUBJECTS[name].vibration(np.zeros(samplerate), samplerate).any()
+
+
+@EVERY
+def test_blocks_of_any_size_give_the_same_vibration_of_numbers_alone(name):
+    sound = white_noise(0.4)
+    sound[1_000], sound[2_000], sound[3_000] = np.nan, np.inf, 1e9
+    whole, cut = (SUBJECTS[name].start(SAMPLERATE, 2) for _ in range(2))
+    expected = np.concatenate((whole.process(sound), whole.finish()))
+    assert np.isfinite(expected).all()
+    assert expected.any()
+    parts = [cut.process(part) for part in np.split(sound, [1, 8, 250, 1_234, 9_000])]
+    # sums in another order: rounding, no more
+    np.testing.assert_allclose(np.concatenate([*parts, cut.finish()]), expected, atol=1e-9)
+
+
+def test_the_band_pass_passes_100_hz_and_stops_2_khz():
+    passed_db = level_db(felt("band-pass", 100.0))
+    assert passed_db == pytest.approx(level_db(tone(100.0, 0.3, 1.0)), abs=0.5)
+    # two poles above 250 Hz: 12 dB an octave over three octaves
+    assert level_db(felt("band-pass", 2_000.0)) < passed_db - 34.0
+
+
+def test_the_envelope_of_a_sound_is_felt_and_its_levelling_outweighs_its_expansion():
+    swelling = tone(3_000.0, 0.3, 1.0) * (tone(150.0, 0.5, 1.0) + 0.5)
+    vibration = SUBJECTS["envelope"].vibration(swelling, SAMPLERATE)[SAMPLERATE // 2 :]
+    assert sine_fit(vibration, SAMPLERATE).frequency_hz == pytest.approx(150.0, abs=0.5)
+    assert level_db(vibration) > level_db(felt("envelope", 3_000.0)) + 20.0
+    loud, quiet = (felt("envelope", 150.0, amplitude) for amplitude in (0.5, 0.05))
+    assert np.abs(loud).max() < envelope.GAIN_OUT
+    # the cube alone would make 60 dB of 20
+    assert 0.0 < level_db(loud) - level_db(quiet) < 20.0
+
+
+@pytest.mark.parametrize("frequency_hz", [100.0, 300.0, 500.0])
+def test_the_centroid_follows_a_tone(frequency_hz):
+    fit = sine_fit(felt("centroid", frequency_hz), SAMPLERATE)
+    # bins are 47 Hz wide, and a window's main lobe is cut off at the band's ends
+    assert fit.frequency_hz == pytest.approx(frequency_hz, abs=15.0)
+    assert fit.amplitude == pytest.approx(0.3, rel=0.1)
+
+
+def test_the_centroid_s_envelope_falls_by_e_in_a_tenth_of_a_second():
+    way = centroid.Method(SAMPLERATE, 1)
+    sound = np.zeros((SAMPLERATE // way.hop, way.hop))
+    sound[0] = 0.5
+    level, at = way._envelope(sound), round((0.1 + centroid.HOLD_S) * SAMPLERATE / way.hop)
+    assert level[0] == pytest.approx(0.5)
+    assert level[at] == pytest.approx(0.5 / np.e, rel=0.04)  # within a hop, 2.7 ms
+
+
+@pytest.mark.parametrize(
+    ("frequency_hz", "folded_hz"), [(1_000.0, 125.0), (600.0, 150.0), (3_500.0, 218.75)]
+)
+def test_the_fold_brings_a_tone_under_230_hz_by_octaves(frequency_hz, folded_hz):
+    fit = sine_fit(felt("octave fold", frequency_hz), SAMPLERATE)
+    assert fit.frequency_hz < octave_fold.UNDER_HZ
+    assert fit.frequency_hz == pytest.approx(folded_hz, rel=0.01)
+    for outside_hz in (100.0, 8_000.0):  # of its ranges
+        assert level_db(felt("octave fold", outside_hz)) < -60.0

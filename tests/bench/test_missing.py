@@ -1,5 +1,3 @@
-"""The bench where something is not there, in every section, and its pictures of what there is."""
-
 import csv
 import json
 import os

@@ -1,5 +1,3 @@
-"""Sections on real sounds and on speech: lists, halves, laws, and rows for every profile."""
-
 from collections import Counter
 from unittest.mock import Mock
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.servers.daemons import Daemon, running
-from tests.servers.listening import need, wait_for
+from tests.servers.daemons import Daemon, running, tone
+from tests.servers.listening import need, own_server, playing, wait_for
 from tools.live_page import Monitor, browser, missing_browser, open_page, served
 from tools.sound_server import SoundServer, missing_programs
 
@@ -70,18 +69,13 @@ def says(page: Page, selector: str, text: str, limit_s: float = 10.0) -> None:
 
 
 def shown(page: Page) -> list[dict[str, Any]]:
-    partials: list[dict[str, Any]] = page.evaluate("window.cushion.partials")
-    return partials
+    return list(page.evaluate("window.cushion.partials"))
 
 
 @pytest.fixture(scope="module")
 def room() -> Iterator[Room]:
     need([*missing_browser(), *missing_programs("pipewire")])
-    # Not tmp_path: a socket's path has room for some 100 characters only.
-    with (
-        tempfile.TemporaryDirectory(prefix="cushion-") as folder,
-        SoundServer("pipewire", Path(folder)) as server,
-    ):
+    with own_server() as server:
         config = Path(server.environment["XDG_CONFIG_HOME"]) / "cushion" / "config.toml"
         config.parent.mkdir(parents=True)
         config.write_text(CONFIG)
@@ -93,6 +87,13 @@ def room() -> Iterator[Room]:
             made = Room(server, daemon, monitor, chromium, config)
             yield made
             made.monitor.close()  # tests replace it
+
+
+@pytest.fixture
+def film(room: Room) -> Iterator[None]:
+    """A player of this name, with a tone."""
+    with playing(room.server, "desktop", tone(440.0, 120.0), name="Film"):
+        yield
 
 
 @pytest.fixture

@@ -20,12 +20,6 @@ FIRST = [
 STEPS_MAX = 2  # clicks and drags of one task
 
 
-@pytest.fixture
-def film(room):
-    with playing(room.server, "desktop", tone(440.0, 120.0), name="Film"):
-        yield
-
-
 def opened(room, size, theme="dark"):
     page = open_page(room.chromium, room.monitor.new_address(), size[0], theme)
     page.set_viewport_size({"width": size[0], "height": size[1]})
@@ -188,7 +182,7 @@ def test_the_sync_test_plays_trials_and_stores_what_agrees(page):
     says(page, "[data-control='offset_ms']", "63 ms as you found it")
 
 
-def test_the_sync_test_can_be_cancelled_and_then_changes_nothing(page):
+def test_the_sync_test_can_be_cancelled_to_no_effect_and_needs_a_vibration_that_is_on(page):
     before = page.inner_text("[data-control='offset_ms']")
     page.click("#sync")
     page.get_by_role("button", name="The tap").click()
@@ -196,9 +190,6 @@ def test_the_sync_test_can_be_cancelled_and_then_changes_nothing(page):
     wait_for(lambda: not page.is_visible("#sync-dialog"), "the end of the test")
     page.wait_for_timeout(2_500)  # a status comes every 2 s
     assert page.inner_text("[data-control='offset_ms']") == before
-
-
-def test_the_sync_test_needs_a_vibration_that_is_on(page):
     page.click("#power")
     wait_for(lambda: page.is_disabled("#sync"), "no test while it is switched off")
     page.click("#power")

@@ -1,6 +1,7 @@
-"""What the live page costs: pictures a second, processor time, memory, slow clients."""
+"""What the live page costs: pictures a second, processor time, memory, slow clients, gaps."""
 
 import json
+import math
 import os
 import shutil
 import signal
@@ -17,9 +18,10 @@ from typing import Any
 
 import pytest
 
-from tests.browser.conftest import Room, says, state
-from tests.servers.daemons import ROOT, program, running, tone
-from tests.servers.listening import RATE_HZ, more, need, playing, recording, wait_for
+from tests.browser.conftest import CONFIG, Room, says, state
+from tests.servers.daemons import ROOT, cpu_percent, program, running, tone
+from tests.servers.listening import RATE_HZ, more, need, own_server, playing, recording, wait_for
+from tests.servers.test_live_changes import check_steady
 from tests.servers.witness import Verdict, silent_blocks, tears, witness_tone
 from tests.support.memory import resident_bytes
 from tools.live_page import Monitor, served
@@ -31,7 +33,6 @@ TONE_HZ = 440.0
 FRAMES_PER_S = 30.0
 STOPPED_S = 3
 ROUNDS = 11
-ROUND_S = 4.0
 GROWTH_PERCENT = 0.5
 SOAK_S = 600.0
 CLIENT = """
@@ -50,23 +51,11 @@ with connect(f"ws://{host}/live", additional_headers=headers, compression=None) 
 """
 
 
-def used_s(pid: int) -> float:
-    """The processor time of all threads, which the scheduler counts in ns."""
-    tasks = Path(f"/proc/{pid}/task").iterdir()
-    return 1e-9 * sum(int((task / "schedstat").read_text().split()[0]) for task in tasks)
-
-
-def cpu_percent(pid: int) -> float:
-    began_s, before_s = time.monotonic(), used_s(pid)
-    wait_for(lambda: time.monotonic() - began_s > ROUND_S, "time", 3.0 * ROUND_S)
-    return 100.0 * (used_s(pid) - before_s) / (time.monotonic() - began_s)
-
-
 def cpu_percent_beside_page(room: Room, server: SoundServer) -> float:
     """The daemon's processor time while the browser shows the page of a server's daemon."""
     with served(server) as room.monitor:
         page = room.open()
-        percent = cpu_percent(room.daemon.process.pid)
+        (percent,) = cpu_percent(room.daemon.process.pid)
         page.context.close()
     return percent
 
@@ -122,8 +111,7 @@ def test_a_page_costs_the_daemon_half_a_percent_and_nothing_once_it_is_closed(ro
     alone, watched, after = [], [], []
     room.monitor.close()
     with (
-        tempfile.TemporaryDirectory(prefix="cushion-") as folder,
-        SoundServer("pipewire", Path(folder)) as other,
+        own_server() as other,
         running(other, engine=None),
         playing(other, "desktop", tone(TONE_HZ, 400.0)),
         playing(room.server, "desktop", tone(TONE_HZ, 400.0)),
@@ -177,9 +165,7 @@ def test_eight_clients_one_of_them_stopped_lose_no_buffer(room: Room, tmp_path: 
         resident = resident_bytes(room.monitor.process.pid)
         overwritten = metric(room, "cushion_page_overwritten_frames_total")
         wait_for(
-            lambda: (
-                len(silent_blocks(felt()[-RATE_HZ:])) and not silent_blocks(felt()[-RATE_HZ:]).any()
-            ),
+            lambda: len(felt()) > RATE_HZ and not silent_blocks(felt()[-RATE_HZ:]).any(),
             "a second of vibration",
             20.0,
         )
@@ -258,8 +244,7 @@ def test_the_pages_memory_stays_flat_for_ten_minutes(room: Room) -> None:
     def heap_bytes() -> float:
         for _ in range(3):
             session.send("HeapProfiler.collectGarbage")
-        found: float = session.send("Runtime.getHeapUsage")["usedSize"]
-        return found
+        return float(session.send("Runtime.getHeapUsage")["usedSize"])
 
     with playing(room.server, "desktop", tone(TONE_HZ, SOAK_S + 90.0)):
         state(page, "Running")
@@ -271,3 +256,51 @@ def test_the_pages_memory_stays_flat_for_ten_minutes(room: Room) -> None:
     print(f"in {SOAK_S:.0f} s heap and server grew by {grown} bytes")
     assert grown[0] < 300_000
     assert grown[1] < 1_000_000
+
+
+FOR_S = 20.0
+MOVES_HZ = 20.0  # of the pointer; a hand's movements are not faster
+SLIDERS = {  # shares of their lengths between which they are dragged
+    "gain_db": (0.85, 0.98),
+    "offset_ms": (0.0, 0.1),
+    "transform-loudness_db": (0.5, 0.95),
+    "transform-merge_ratio": (0.1, 0.9),
+}
+
+
+def drag_about(page, key: str, ends: tuple[float, float], seconds: float) -> None:
+    """Hold the thumb of a slider and move it to and fro, twice a second."""
+    slider = page.locator(f"#control-{key}")
+    slider.scroll_into_view_if_needed()
+    box = slider.bounding_box()
+    page.mouse.move(box["x"] + ends[0] * box["width"], box["y"] + box["height"] / 2)
+    page.mouse.down()
+    for number in range(int(seconds * MOVES_HZ)):
+        share = 0.5 - 0.5 * math.cos(4.0 * math.pi * number / MOVES_HZ)
+        x = box["x"] + (ends[0] + share * (ends[1] - ends[0])) * box["width"]
+        page.mouse.move(x, box["y"] + box["height"] / 2)
+        page.wait_for_timeout(1e3 / MOVES_HZ)
+    page.mouse.up()
+
+
+@pytest.mark.calm  # the last one of this file: what was dragged stays unsaved
+def test_dragged_sliders_are_felt_without_gaps_clicks_or_lost_cycles(room, page):
+    with (
+        tempfile.TemporaryDirectory(prefix="cushion-") as folder,
+        witness_tone(Path(folder)) as witness,
+        playing(room.server, "desktop", tone(110.0, 240.0)),
+        recording(room.server, "haptic.monitor", Path(folder) / "felt", stays=True) as felt,
+        recording(room.server, "desktop.monitor", Path(folder) / "sound", stays=True) as sound,
+    ):
+        wait_for(lambda: len(felt()) > 0 and abs(felt()[-480:]).max() > 0.01, "vibration")
+        process = room.daemon.engine_process()
+
+        def drag() -> None:
+            for key, ends in SLIDERS.items():
+                drag_about(page, key, ends, FOR_S / len(SLIDERS))
+            more(felt, 1.0)
+
+        check_steady("dragged sliders", (felt, sound, witness), drag)
+        assert room.daemon.status().engine_pid == process
+    says(page, "#unsaved", "Not saved")
+    room.config.write_text(CONFIG)

@@ -165,7 +165,6 @@ def after_every_write(tmp_path, monkeypatch, error, share, ignored=()):
 
 
 def assert_sound(folder, numbers=EVERYTHING):
-    """These of SMALL are there, and nothing is warned of."""
     for stream in STREAMS:
         found, _, warnings = read(folder, stream)
         assert (found, warnings) == (expected(numbers, stream), [])

@@ -18,18 +18,10 @@ import pytest
 from audioflinger_hook.catalogue.storage import LocalStorage
 from audioflinger_hook.offline import batch
 from device.atomic_file import PREFIX, temporary_folder
+from tests.support import commands
 from tests.support.catalogues import expected as results_of
 from tests.support.catalogues import library, results, rows
-from tests.support.commands import (
-    call,
-    cushion,
-    ended_by,
-    environment,
-    refused,
-    start,
-    until,
-    workers_of,
-)
+from tests.support.commands import call, cushion, ended_by, environment, start, until, workers_of
 
 ITEMS = 16
 FRAMES = 240_000
@@ -53,7 +45,6 @@ def finished(out):
 
 
 def whole(out, expected):
-    """Whether all that is in a folder are results with the right bytes, some or all."""
     return all(
         expected[name] == content
         for name, content in results(out).items()
@@ -62,7 +53,6 @@ def whole(out, expected):
 
 
 def after_some_work(process, out, draw):
-    """Return once a random number of results is there, at a random moment."""
     most = draw.randrange(1, ITEMS - 4)
     until(lambda: out.is_dir() and len(list(out.glob("s*.json"))) >= most, process)
     time.sleep(draw.uniform(0.0, 0.1))
@@ -254,5 +244,5 @@ def test_a_local_dask_cluster_gives_the_same_bytes(sounds, expected, tmp_path):
 def test_a_scheduler_that_is_not_there_is_an_error_of_one_line(sounds, tmp_path, monkeypatch):
     monkeypatch.setattr("audioflinger_hook.catalogue.cluster.CONNECT_S", "0.5s")
     done = call("catalogue", sounds, "--out", tmp_path / "out", "--dask", "tcp://127.0.0.1:9")
-    line = refused(done, 4)
+    line = commands.refused(done, 4)
     assert line.startswith("cushion: error: no Dask scheduler answers at tcp://127.0.0.1:9")

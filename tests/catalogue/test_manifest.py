@@ -20,7 +20,6 @@ OUT = "/nowhere/out"
 
 
 def items(path, out=OUT):
-    """Return the items of a manifest without mistakes."""
     read = Manifest(str(path), out)
     count, mistakes = read.check()
     assert mistakes.shown == []
@@ -30,7 +29,6 @@ def items(path, out=OUT):
 
 
 def mistakes(path):
-    """Return the mistakes of a manifest, without the name of the file."""
     _, found = Manifest(str(path), OUT).check()
     return [text.removeprefix(f"{path.parent}/") for text in found.shown]
 

@@ -1,11 +1,8 @@
-"""Fixtures that tests of commands share."""
-
 import pytest
 
 
 @pytest.fixture
 def config(tmp_path):
-    """Writes a config, text or bytes, and returns its path."""
 
     def write(content):
         path = tmp_path / "config.toml"

@@ -44,7 +44,6 @@ def read_by(command, path, out):
 
 
 def refusal(command, path, out):
-    """The error of a reader that refuses a file and leaves the older output alone."""
     error = refused(read_by(command, path, out))
     assert str(path) in error
     assert commands.listing(out.parent) == {out.name: b"old"}

@@ -1,5 +1,3 @@
-"""`cushion calibrate`: what it prints and writes, and what stops it before it becomes loud."""
-
 import argparse
 import re
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""`cushion demo`: what it writes, draws and says, without waiting for the scene to be played."""
-
 import io
 import re
 import signal
@@ -157,7 +155,6 @@ def test_the_meter_says_silence_and_names_every_row(monkeypatch):
 
 
 def fast_demo(folder, *, monkeypatch):
-    """What a demo of a scene of silence says, inside this process and without its picture."""
     scene = Scene("short", commands.RATE, (), 0.5)
     monkeypatch.setattr("audioflinger_hook.cli.demo.demo_scene", lambda: scene)
     monkeypatch.setitem(sys.modules, "matplotlib", None)

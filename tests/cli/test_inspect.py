@@ -1,5 +1,3 @@
-"""`cushion inspect` and `cushion dump`: principal frequencies, and threads, tracks, effects."""
-
 import functools
 
 import numpy as np
@@ -81,7 +79,6 @@ def one_scene():
 
 
 def dumped(*options, **process):
-    """The lines of a dump that works and has nothing to warn of."""
     done = cushion("dump", *options, **process) if process else call("dump", *options)
     assert (done.code, done.stderr) == (0, "")
     return [line.strip() for line in done.stdout.splitlines()]

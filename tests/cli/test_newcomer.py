@@ -1,5 +1,3 @@
-"""What somebody meets who types their first commands."""
-
 import shutil
 from pathlib import Path
 

@@ -1,5 +1,3 @@
-"""What a running daemon and its status say, and how often: nothing without an end."""
-
 import json
 import time
 from unittest.mock import Mock
@@ -32,7 +30,6 @@ class Told:
 
 @pytest.fixture
 def told(capsys: pytest.CaptureFixture[str]) -> Told:
-    """A reporter of a daemon that runs, which it has told."""
     told = Told(capsys)
     told.keeper.enter(DaemonState.RUNNING, 0.0)
     told.lines()

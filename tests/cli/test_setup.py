@@ -1,5 +1,3 @@
-"""`cushion setup` without a sound server: what it refuses, how it ranks, writes and undoes."""
-
 from pathlib import Path
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""`cushion sync` without a sound server: simulated people, refusals, and what it says."""
-
 import re
 from functools import partial
 

@@ -7,13 +7,8 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.config import file as config
-from audioflinger_hook.config.profiles import (
-    LIVE_DEFAULT,
-    OFFLINE_DEFAULT,
-    PROFILES,
-    parameters_of,
-    values_of,
-)
+from audioflinger_hook.config import profiles
+from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES, parameters_of, values_of
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.recording import facts_of, settings_from
 from audioflinger_hook.offline.render import render_file
@@ -21,24 +16,13 @@ from audioflinger_hook.transform import HapticTransform, TransformParameters
 from audioflinger_hook.transform.mapping import vibration_hz
 from device.drive import ActuatorSettings
 from device.errors import UsageError
+from tests.support import signals
 from tests.support.commands import call, document, noise, sound
-from tests.support.signals import (
-    SAMPLERATES,
-    best_sinusoid,
-    energy_above_db,
-    joined,
-    one_sample,
-    played,
-    silence,
-    square,
-    thinned,
-    tone,
-    white_noise,
-)
+from tests.support.signals import joined, one_sample, played, silence, tone, white_noise
 from tests.transform.test_kernel import SOUNDS, assert_agree
 
 OTHERS = [name for name in PROFILES if name != "paper"]
-RATES = [rate for rate in SAMPLERATES if rate != 48_000]
+RATES = [rate for rate in signals.SAMPLERATES if rate != 48_000]
 
 
 def test_the_default_is_the_paper_s_and_changes_nothing():
@@ -111,7 +95,7 @@ def test_commands_on_files_take_the_paper_s_profile_unless_one_is_named(tmp_path
     assert call("capture", tmp_path / "cap", "--tap", f"file:{source}").code == 0
     for command in (("render", source), ("replay", tmp_path / "cap")):
         for text, options, name in (
-            ("gain_db = 0\n", (), OFFLINE_DEFAULT),
+            ("gain_db = 0\n", (), profiles.OFFLINE_DEFAULT),
             ("gain_db = 0\n", ("--config", path), "paper"),
             ('profile = "game"\n', ("--config", path), "game"),
             ('profile = "game"\n', ("--config", path, "--profile", "paper"), "paper"),
@@ -149,8 +133,9 @@ def test_hard_sounds_stay_finite_and_under_full_scale_at_every_samplerate(name, 
     damaged = white_noise(0.2, samplerate, 1.0)
     damaged[::5] = np.nan
     for mix in (
-        *(white_noise(0.3, samplerate), square(83, 0.3, samplerate), np.full(samplerate // 4, 1.0)),
-        *(one_sample(0.2, samplerate, 0.1), damaged, np.full(samplerate // 4, 1e-310)),
+        *(white_noise(0.3, samplerate), signals.square(83, 0.3, samplerate), damaged),
+        *(np.full(samplerate // 4, constant) for constant in (1.0, 1e-310)),
+        one_sample(0.2, samplerate, 0.1),
         joined(tone(60, 0.2, samplerate), tone(samplerate / 3, 0.2, samplerate, 900.0)),
     ):
         vibration = played(mix, samplerate, parameters=parameters)
@@ -171,7 +156,7 @@ def test_what_a_profile_plays_is_not_heard(name):
     vibration = played(mix, 48_000, parameters=parameters_of(name))[:, 0]
     # What begins at once is as strong as it is loud within 2 ms, which leaves a little; half a
     # second of real sounds leaves under -55 dB.
-    assert energy_above_db(vibration, 250, 48_000) < -41
+    assert signals.energy_above_db(vibration, 250, 48_000) < -41
 
 
 @pytest.mark.parametrize("name", OTHERS)
@@ -182,9 +167,9 @@ def test_a_tone_is_pure_with_every_profile(name, hz):
     hz = max(hz, 1.1 * parameters.band_low_hz)
     # In 0.2 s the programme's level moves by 0.06 dB at most. The end of a tone is felt at once.
     vibration = played(tone(hz, 4.0, 48_000, 0.5), 48_000, parameters=parameters)[:, 0]
-    steady, rate = thinned(vibration[-12_000:-2_400], 48_000)
+    steady, rate = signals.thinned(vibration[-12_000:-2_400], 48_000)
     wanted_hz = float(vibration_hz(np.array(hz), parameters))
-    found_hz, _, residual_db = best_sinusoid(steady, rate, wanted_hz)
+    found_hz, _, residual_db = signals.best_sinusoid(steady, rate, wanted_hz)
     assert found_hz == pytest.approx(wanted_hz, abs=0.01)
     # Windows of a low tone hold few cycles and differ a little in loudness: 0.05 dB at 55 Hz. A
     # narrow dead band lets some of what a tone wavers through.

@@ -254,7 +254,6 @@ KINDS = {
 
 
 def another(key: Any) -> Any:
-    """Return a value that is accepted and is not the default."""
     described = key.description
     if isinstance(described, Switch):
         return not key.default

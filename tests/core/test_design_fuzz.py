@@ -1,5 +1,3 @@
-"""Designs and states that are damaged or nonsense: refused with what is wrong, or harmless."""
-
 import struct
 import zlib
 from contextlib import suppress
@@ -35,7 +33,6 @@ SOUND = np.random.default_rng(1).uniform(-1.0, 1.0, (3_000, 2)).astype(np.float3
 
 
 def runs_or_is_refused(design: bytes) -> bool:
-    """Whether a core of these bytes runs; one that runs gives as much as it takes."""
     try:
         core = Core(design)
     except InternalError:

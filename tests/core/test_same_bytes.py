@@ -1,5 +1,3 @@
-"""The core gives the same bytes from every compiler, on every processor, and without Python."""
-
 import subprocess
 from functools import cache
 from pathlib import Path
@@ -22,7 +20,6 @@ RATE = 48_000
 
 @cache
 def sounds() -> np.ndarray:
-    """Return two channels of the demo, noise, silence, a sweep and unusable samples."""
     rng, time = np.random.default_rng(4), np.arange(RATE // 2) / RATE
     sweep = np.sin(2 * np.pi * 40 * 40_000**time / np.log(40_000))
     noise = rng.normal(0.0, 0.3, (RATE // 4, 2)) * [[1.0, 0.01]]

@@ -24,7 +24,6 @@ SOUND = np.random.default_rng(3).uniform(-1.0, 1.0, (2_500, 2)).astype(np.float3
 
 
 def made(**changes: Any) -> Core:
-    """A core with a transform for each channel and several drives."""
     parts: dict[str, Any] = {"transform": TRANSFORM, "drives": DRIVES, "delay_frames_max": RATE}
     core = Core(core_design(RATE, 2, each=True, **(parts | changes)))
     for number, controls in enumerate(core.controls.actuators[:3]):

@@ -1,5 +1,3 @@
-"""A live buffer passes the files that docs/architecture.md lists, and no others."""
-
 import gc
 import re
 import sys
@@ -21,7 +19,6 @@ CARRIERS_MAX = 16
 
 
 def files_of_a_cycle() -> set[str]:
-    """Return the files that run while blocks pass from a capture to a device within a second."""
     live = Live(CaptureQueue())
     fill = ChannelRouter(()).connect(live.engine.fill, ChannelMap.repeated(1, 2), BLOCK)
     sound, out = music(2.0), np.zeros((BLOCK, 2), np.float32)

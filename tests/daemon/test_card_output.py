@@ -25,7 +25,7 @@ from device.drive import ActuatorSettings
 from device.drive.safety import SafetyState
 from device.errors import LostError, NotFoundError, UsageError
 from device.stream import portaudio, streams
-from device.stream.pcms import CardDevice, PcmConfig, Target
+from device.stream.pcms import CardDevice, Target
 from device.units import Float32Array
 from tests.support.alsa_files import BLOCK_S, ToFile, portaudio_with, until
 from tests.support.commands import call, noise, refused, sound
@@ -45,9 +45,7 @@ def pcms():
 class Rig:
     """An output, its cards, and where its bytes go: one file a card's number."""
 
-    def __init__(
-        self, folder: Path, pcms: PcmConfig, name: str = "DAC", actuators=(), **options
-    ) -> None:
+    def __init__(self, folder: Path, pcms, name="DAC", actuators=(), **options) -> None:
         self.folder, self.cards = folder, Cards(folder / "asound")
         self.states, self.blocks = StateKeeper(0.0), 0
         wanted = config(f"hw:{name}", Settings(actuators=actuators), block_frames=256)
@@ -100,7 +98,7 @@ def rig(tmp_path, pcms):
     rig.output.end(keep=True)
 
 
-def test_a_card_gets_the_vibration_in_its_own_format(rig):
+def test_a_card_gets_the_vibration_in_its_own_format_and_is_opened_again_if_callbacks_stop(rig):
     rig.cards.plug(30, "DAC", stream=ASYNC)
     place = rig.output.locate(None)
     assert (place.name, place.samplerate, place.channels) == ("hw:DAC,0", 0, 0)
@@ -113,16 +111,17 @@ def test_a_card_gets_the_vibration_in_its_own_format(rig):
     assert rig.output.name == "hw:DAC,0"
     rig.play()
     assert rig.output.is_open
+    rig.tick(later_s=1.0)
+    assert rig.states.report(time.monotonic()).recoveries[Cause.DEVICE_LOST] == 1
+    assert rig.output.name == "hw:DAC,0"
+    rig.play()
     rig.output.close()
     assert not rig.output.is_open
     assert encode(np.column_stack([TONE, TONE]), PcmFormat.I32) * 3 in rig.path(30).read_bytes()
 
 
-PAD = ADAPTIVE.replace("Channels: 8", "Channels: 4")
-
-
 def test_a_pad_whose_coils_are_known_vibrates_on_their_channels_alone(rig):
-    rig.start(stream=PAD, usb_id="054c:0ce6")
+    rig.start(stream=ADAPTIVE.replace("Channels: 8", "Channels: 4"), usb_id="054c:0ce6")
     assert rig.got({2: TONE, 3: TONE}, 4, PcmFormat.I24)
 
 
@@ -162,11 +161,10 @@ def test_a_card_with_too_few_channels_for_the_actuators_is_none(tmp_path, pcms):
             rig.output.set_format(RATE, 2)
         with pytest.raises(NotFoundError, match="need 3 channels: name others in"):
             rig.output.locate(None)
-    wrong = [ActuatorSettings((0,)), ActuatorSettings((5,))]
     rig.output.set_actuators([ActuatorSettings((0,)), ActuatorSettings((1,))])
     rig.output.locate(None)
     with pytest.raises(UsageError, match="need 6 channels"):
-        rig.output.check_actuators(wrong)
+        rig.output.check_actuators([ActuatorSettings((0,)), ActuatorSettings((5,))])
 
 
 def test_actuators_reach_their_channels_and_go_over_to_others_in_an_open_stream(tmp_path, pcms):
@@ -197,14 +195,6 @@ def test_a_card_that_is_plugged_in_again_plays_again_whatever_its_number_and_no_
     rig.play()
     rig.output.close()
     assert any(rig.path(31).read_bytes())
-
-
-def test_a_card_whose_callbacks_stop_is_lost_and_opened_again(rig):
-    rig.start(2)
-    rig.tick(later_s=1.0)
-    assert rig.states.report(time.monotonic()).recoveries[Cause.DEVICE_LOST] == 1
-    assert rig.output.name == "hw:DAC,0"
-    rig.play()
 
 
 def test_a_card_that_another_program_plays_on_is_waited_for(rig):
@@ -306,7 +296,6 @@ class DaemonRig:
         return time.monotonic() + self.jumped_s
 
     def until(self, state: DaemonState, limit_s: float = 10.0) -> str:
-        """Tick until it is in that state; return the reason."""
         end_s = time.monotonic() + limit_s
         while True:
             self.run(0.02)
@@ -367,9 +356,7 @@ def test_another_card_is_gone_over_to_and_lost_while_it_runs_and_a_sink_is_not(l
 
 
 @pytest.mark.parametrize("is_suspend", [True, False], ids=["suspend", "jump"])
-def test_a_card_is_awaited_and_away_for_hours_and_plays_on_within_3_s_cooler_and_no_other_does(
-    live, is_suspend
-):
+def test_a_card_is_awaited_and_away_for_hours_and_plays_on_cooler_and_no_other(live, is_suspend):
     def pass_an_hour() -> None:
         live.slept_s += HOUR_S * is_suspend  # the monotonic clock stands still
         live.jumped_s += HOUR_S * (not is_suspend)
@@ -416,7 +403,7 @@ def test_a_card_is_awaited_and_away_for_hours_and_plays_on_within_3_s_cooler_and
     assert rig.safety_states()[0].dose.time_s > dose_s
 
 
-@pytest.mark.parametrize("text", ["hw:0", "hw:DAC,1", "hw:CARD=DAC,DEV=0"])
-def test_cards_are_written_as_alsa_writes_them(text):
-    assert str(parse_device(text)) == text
+def test_cards_are_written_as_alsa_writes_them():
+    for text in ("hw:0", "hw:DAC,1", "hw:CARD=DAC,DEV=0"):
+        assert str(parse_device(text)) == text
     assert "is not hw:CARD or hw:CARD,DEVICE" in refused(call("run", "--device", "hw:a,b"))

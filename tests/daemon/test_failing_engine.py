@@ -1,9 +1,5 @@
-"""A native engine that fails, hangs or does not start gives way to another one or to Python's."""
-
 import math
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 from unittest.mock import Mock
@@ -46,13 +42,7 @@ def native(error: LostError | None = None) -> Any:
     return one
 
 
-def kept(
-    engine: Any,
-    folder: Path,
-    times_s: list[float],
-    source: Source | Applications = SOURCE,
-    players: frozenset[int] = frozenset(),
-) -> Iterator[NativeRun]:
+def kept(engine, folder, times_s, source=SOURCE, players=frozenset()):
     run = NativeRun(CONFIG, folder, StateKeeper(0.0), lambda: None, lambda *_: None)
     server = cast(PulseConnection, SimpleNamespace(set_sink_volume_db=lambda *_: None))
     for now_s in times_s:
@@ -144,7 +134,6 @@ def chains(tmp_path):
 
 
 def chain(**changes: Any) -> RunningChain:
-    """A linked chain, which began at 0 s."""
     one = Mock(**{"plan": PLAN, "is_stopped": False, "complaint": "the design is cut"} | changes)
     one.page.frames = one.page.samplerate = 48_000
     one.page.faded_out.return_value = False

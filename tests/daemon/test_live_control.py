@@ -1,5 +1,3 @@
-"""What pages ask of a daemon that runs: checked as its config, applied, undone, saved."""
-
 import math
 import signal
 import subprocess
@@ -21,17 +19,11 @@ from tests.service.test_watch import Client
 from tests.support.commands import start, until
 from tests.support.run_configs import config
 
-CONFIG = """# mine
-gain_db = -3.0 # soft
-"""
-
-
+CONFIG = "# mine\ngain_db = -3.0 # soft\n"
 JUNK: list[Any] = ["junk", 60, [], {"x": 1}, False, None]
 
 
 class Daemon:
-    """`cushion run` of the demo's scene on the simulated cushion."""
-
     def __init__(self, folder: Path) -> None:
         self.config = folder / "config.toml"
         self.config.write_text(CONFIG)
@@ -65,7 +57,6 @@ class Daemon:
         return self.shown(key)["value"]
 
     def reason_at(self, offset_ms: float) -> str:
-        """Where the offset comes from, once it is this one."""
         for _ in range(50):
             if (found := self.watch("status"))["offset_ms"] == offset_ms:
                 return str(found["offset_reason"])
@@ -180,6 +171,10 @@ def test_a_rule_of_an_application_applies_is_undone_and_goes_to_the_file_only_by
         said = [{n: v for n, v in one.items() if v not in (None, 0.0)} for one in settings["rules"]]
         return said, settings["unsaved_rules"]
 
+    refused = rule(profile="cinma")  # in the words of the config
+    assert refused["key"] == "application:Film"
+    assert 'application[1].profile = "cinma" is not known' in refused["error"]
+    assert "did you mean cinema?" in refused["error"]
     assert (rules(), rule(profile="game")) == (([], []), {"done": True})
     assert rules() == ([{"match": "Film", "profile": "game"}], ["Film"])
     assert rule(gain_db=-3) == {"done": True}
@@ -198,13 +193,6 @@ def test_a_rule_of_an_application_applies_is_undone_and_goes_to_the_file_only_by
         assert daemon.ask(undo=True) == {"done": True}
     assert (rules(), daemon.ask(save=True)) == (([], ["Film"]), {"done": True})
     assert daemon.config.read_text() == CONFIG
-
-
-def test_what_the_config_says_of_a_rule_is_said_of_a_rule_of_the_page(daemon):
-    answer = daemon.ask(application={"match": "x", "profile": "cinma"})
-    assert answer["key"] == "application:x"
-    assert 'application[1].profile = "cinma" is not known' in answer["error"]
-    assert "did you mean cinema?" in answer["error"]
 
 
 def test_the_mixed_sound_leaves_an_application_out_by_a_capture_of_the_others(control):
@@ -227,7 +215,7 @@ def test_an_offset_on_trial_plays_and_is_none_of_the_config_but_auto_is(daemon):
     assert daemon.value("offset_ms") == 20
 
 
-def test_mute_silences_and_is_not_saved(daemon):
+def test_mute_silences_is_not_saved_and_works_while_the_file_has_mistakes(daemon):
     assert daemon.ask(mute=True) == {"done": True}
     assert daemon.watch("status")["muted"]
     assert daemon.watch("frame")["level"] == 0.0
@@ -235,9 +223,6 @@ def test_mute_silences_and_is_not_saved(daemon):
     assert "mute" not in daemon.config.read_text()
     assert daemon.ask(mute=False) == {"done": True}
     assert not daemon.watch("status")["muted"]
-
-
-def test_mute_works_while_the_file_has_mistakes_and_changes_nothing_else(daemon):
     text, before = daemon.config.read_text(), daemon.value("gain_db")
     try:
         daemon.config.write_text(f"{text}profile = 7\n")

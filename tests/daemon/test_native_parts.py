@@ -69,6 +69,8 @@ NO_SERVER = "there is no sound server"
 )
 def test_the_first_thing_that_the_native_engine_cannot_do_is_named(changes, reason):
     assert abilities.why_python(config(settings=Settings(**changes)), None) == reason
+    assert abilities.why_python(config(drop_in=True), None) == "drop_in is on"
+    assert abilities.why_python(config(engine="python"), None) == "engine = 'python'"
 
 
 @pytest.mark.parametrize(
@@ -117,8 +119,7 @@ def test_a_plan_routes_each_actuator_to_its_source_and_without_them_every_channe
     settings = Settings(actuators=actuators)
     plan = ChainPlan.of(settings, tap_of(monitor(SURROUND), None), 48_000)
     assert (plan.sources, plan.actuators) == (("left", "right"), (1, 0, 1))
-    weights = plan.weights
-    assert weights is not None
+    weights: Any = plan.weights
     assert weights.shape == (6, 2, 2)
     assert np.allclose(weights.sum(axis=0), 1.0)
     played = actuators_of_channels(sink(SURROUND), settings.actuators, plan.outputs)
@@ -148,18 +149,6 @@ def test_the_page_has_the_layout_that_the_plugin_reads(tmp_path):
     assert list(map(int, found.stdout.split())) == [ctypes.sizeof(layout_class), *offsets]
 
 
-def test_a_page_is_private_and_its_file_goes_with_it(tmp_path):
-    path = tmp_path / "page"
-    page = Page(path, 2, 1, [0])
-    assert path.stat().st_mode & 0o777 == 0o600
-    with pytest.raises(FileExistsError):
-        Page(path, 2, 1, [0])
-    assert page.frames == 0
-    page.close()
-    page.close()
-    assert not path.exists()
-
-
 def test_a_gain_rises_in_a_design_with_another_protection_only_once_that_one_plays(tmp_path):
     page = Page(tmp_path / "page", 2, 1, [0])
     quiet = config(settings=Settings(gain_db=-20.0))
@@ -176,9 +165,14 @@ def test_a_gain_rises_in_a_design_with_another_protection_only_once_that_one_pla
     page.close()
 
 
-def test_levels_are_read_and_partials_unless_they_are_being_written(tmp_path):
-    page = Page(tmp_path / "page", 2, 1, [0])
+def test_a_page_is_private_and_tells_levels_and_partials_unless_they_are_being_written(tmp_path):
+    path = tmp_path / "page"
+    page = Page(path, 2, 1, [0])
+    assert path.stat().st_mode & 0o777 == 0o600
+    with pytest.raises(FileExistsError):
+        Page(path, 2, 1, [0])
     told = page.readings
+    assert page.frames == 0
     assert page.principal() == []
     told.sequence, told.partials_count = 2, 1
     told.partials[0][:] = (440.0, 100.0, 0.25)
@@ -188,7 +182,9 @@ def test_levels_are_read_and_partials_unless_they_are_being_written(tmp_path):
     assert (page.principal(), page.reader.shown()) == ([], ((2, 1, 0), (0.0,) * 6))
     told.sequence, told.partials_count = 4, 1 << 40  # of a plugin gone wrong
     assert len(page.principal()) == PARTIALS
-    page.close()
+    for _ in range(2):
+        page.close()
+    assert not path.exists()
     page = Page(tmp_path / "page", 2, 1, [0, 0])  # levels of each channel and actuator
     readings = page.readings
     readings.sound[1].peak, readings.sound[1].mean_square = 0.5, 0.125
@@ -213,11 +209,7 @@ def test_a_fade_has_no_step_however_long_the_blocks_are(frames):
     block = np.full((100, 1), 0.3, np.float32)
     fade.apply(block)
     assert (block == np.float32(0.3)).all()
-
-
-def test_a_fade_from_silence_waits_for_the_first_vibration():
-    fade = SoftFade(48_000)
-    fade.position = 0.0
+    fade.position = 0.0  # from silence it waits for the first vibration
     block = np.zeros((4_000, 1), np.float32)
     fade.apply(block)
     block[3_000:] = 0.5
@@ -271,12 +263,11 @@ def made(designs: DriveDesigns, *plans: DrivePlan | None) -> list[DriveDesign | 
 def test_designs_of_a_process_are_those_that_would_be_made_here():
     designs = DriveDesigns()
     assert designs.of([None], 0.0) == [None]
-    found = made(designs, PAPER, None, CONSUMER, PAPER)
+    found: Any = made(designs, PAPER, None, CONSUMER, PAPER)
     assert found[1] is None
     assert found[0] is found[3]
-    for plan, design in ((PAPER, found[0]), (CONSUMER, found[2])):
-        assert plan
-        assert design
+    plans: Any = PAPER, CONSUMER
+    for plan, design in zip(plans, found[::2], strict=False):
         here = design_of(plan)
         assert (design, design.worst_second) == (here, here.worst_second)
         assert design.bounds().warmest == here.bounds().warmest
@@ -291,9 +282,8 @@ def test_designs_of_a_process_are_those_that_would_be_made_here():
 def test_another_wish_takes_the_place_of_one_under_way():
     designs, now_s = DriveDesigns(), time.monotonic()
     assert designs.of([PAPER], now_s) is None
-    first = designs._call
+    first: Any = designs._call
     assert designs.of([CONSUMER], now_s) is None
-    assert first
     assert first._process.returncode is not None
     assert made(designs, CONSUMER)[0]
 
@@ -342,12 +332,9 @@ def test_a_chain_plays_on_where_the_next_ones_design_fails(tmp_path, monkeypatch
         return chains.problem
 
     until(problem)
-    assert chains.problem == (
-        "the former settings play on: damping and protection cannot be computed: "
-        "ZeroDivisionError: no design"
-    )
-    assert chains.current is current
-    assert chains.following is None
+    told = "the former settings play on: damping and protection cannot be computed: "
+    assert chains.problem == f"{told}ZeroDivisionError: no design"
+    assert (chains.current, chains.following) == (current, None)
     chains.make(before, time.monotonic())
     assert not chains.problem
     chains.current = None  # nothing plays: the engine fails

@@ -173,9 +173,8 @@ TO_DESK = Stream(9, 1, "desk", "", "", "", "", None, False, False, EFFECTS)
 def test_an_application_that_is_not_heard_on_the_tapped_sink_has_no_rule():
     config, television = config_of(MUSIC, GAME), stream(4, "SuperTux", sink="tv")
     through = replace(television, device_name="effects")
-    for game, sink, rule in (
-        (television, "desk", MUSIC), (television, None, GAME), (through, "desk", GAME)
-    ):  # fmt: skip
+    cases = (television, "desk", MUSIC), (television, None, GAME), (through, "desk", GAME)
+    for game, sink, rule in cases:
         acting, snapshot = ActingRule(), seen(stream(1, "mpv"), game, TO_DESK)
         snapshot = replace(snapshot, sinks=(DESK_SINK, EFFECT_SINK))
         acting.update(snapshot, config, "dac", sink)
@@ -186,9 +185,8 @@ def test_what_plays_through_a_sink_of_effects_is_felt_and_a_call_there_is_told()
     snapshot = seen(stream(3, "Zoom", sink="effects"), stream(4, "mpv", sink="effects"), TO_DESK)
     snapshot = replace(snapshot, sinks=(DESK_SINK, EFFECT_SINK))
     shown = applications_in(snapshot, config_of(), SOURCE, "dac")
-    assert {one.name: (one.is_felt, one.rule) for one in shown} == {
-        "Zoom": (True, "call"), "mpv": (True, "")
-    }  # fmt: skip
+    found = {one.name: (one.is_felt, one.rule) for one in shown}
+    assert found == {"Zoom": (True, "call"), "mpv": (True, "")}
     assert "Zoom" in not_left_out(shown)
 
 
@@ -227,7 +225,6 @@ def test_the_rule_of_the_newest_application_that_is_felt_acts_and_ends_with_it()
         assert not acting.update(snapshot, config, "dac")
     acting.update(seen(), config, "dac")
     assert acting.rule is None
-    config, acting = config_of(MUSIC, GAME), ActingRule()
     call = stream(3, "supercall", role="phone")
     assert not acting.update(seen(stream(1, "mpv", sink="dac"), call), config, "dac")
 

@@ -32,7 +32,6 @@ BEFORE_S = 3.0  # more than the silence before and behind the vibration in a fil
 
 @pytest.fixture
 def folder(tmp_path):
-    """The environment of a daemon that is alone."""
     (tmp_path / "run").mkdir(mode=0o700)
     return {"XDG_RUNTIME_DIR": str(tmp_path / "run"), "XDG_CONFIG_HOME": str(tmp_path / "config")}
 
@@ -42,7 +41,6 @@ def run(env: dict[str, str], *arguments: object, **options: object) -> commands.
 
 
 def status(env: dict[str, str]) -> dict[str, Any]:
-    """What the daemon says of itself, empty while it does not answer."""
     done = cushion("status", "--json", env=env)
     return json.loads(done.stdout) if done.code == 0 else {}
 
@@ -55,7 +53,6 @@ def aligned(whole: Float32Array, wanted: Float32Array) -> Float32Array:
 
 
 def rendered(source: Path, out: Path) -> commands.Done:
-    """Render a file with the default profile of `cushion run`."""
     return call("render", source, out, "--profile", LIVE_DEFAULT)
 
 
@@ -100,7 +97,7 @@ def test_a_file_ends_by_itself_when_its_vibration_has_run_out(tmp_path, folder):
     ],
     ids=["nothing named", "a parameter", "the config's", "the option's"],
 )
-def test_the_profile_is_cinema_unless_one_is_named_and_a_replay_needs_no_name(
+def test_the_profile_is_cinema_unless_named_and_a_replay_needs_no_name(
     tmp_path, folder, text, options, profile, said
 ):
     source, record = sound(tmp_path / "in.wav", noise(RATE // 4)), tmp_path / "rec"

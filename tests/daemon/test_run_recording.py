@@ -1,5 +1,3 @@
-"""What a run records is replayed bit for bit: any formats, any buffers, any settings."""
-
 import errno
 import json
 import os
@@ -157,13 +155,10 @@ def test_the_settings_come_back_whole_and_options_win_over_them(tmp_path, monkey
     assert vibration(out).shape[1] == 1
 
 
-def test_nothing_is_written_before_it_begins(tmp_path):
+@pytest.mark.exhaustive
+def test_a_recording_that_is_ended_holds_what_came_before_and_nothing_before_it_begins(tmp_path):
     RunRecording(tmp_path / "cap", Settings(), "default", "twin").close()
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.exhaustive
-def test_a_recording_that_is_ended_holds_what_came_before(tmp_path):
     run = Run(tmp_path / "cap", Settings())
     run.hear(range(40))
     run.recording.end("the settings were changed")

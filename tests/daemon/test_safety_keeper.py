@@ -1,5 +1,3 @@
-"""A coil is never taken for colder than it is, nor a dose for smaller, whatever ends a process."""
-
 import json
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
@@ -31,8 +29,6 @@ def text(local: datetime) -> str:
 
 
 class Time:
-    """Clocks of a machine, which go on when told to."""
-
     def __init__(self) -> None:
         self.moment = Moment("a boot", 1_000.0, NOON.timestamp(), text(NOON))
 
@@ -50,16 +46,12 @@ def driven(exposure_cap: str = "off") -> Drive:
     return Drive((), RATE, 1, rig="paper", protection="on", exposure_cap=exposure_cap)
 
 
-def state_of(drive: Drive) -> Any:
-    processor = drive.processors[0]
-    assert processor
-    return processor.safety_states()[0]
+def state_of(drive: Any) -> Any:
+    return drive.processors[0].safety_states()[0]
 
 
-def set_state(drive: Drive, coil_c: float, magnet_c: float) -> None:
-    processor = drive.processors[0]
-    assert processor
-    readings = processor._readings[0]  # as the core would have written them
+def set_state(drive: Any, coil_c: float, magnet_c: float) -> None:
+    readings = drive.processors[0]._readings[0]  # as the core would have written them
     readings.coil_c, readings.magnet_c = coil_c, magnet_c
 
 
@@ -77,7 +69,6 @@ def begun(folder: Path, time: Time, device: str = "dac") -> tuple[SafetyKeeper, 
 
 
 def killed(folder: Path, time: Time, coil_c: float = 119.0, magnet_c: float = 60.0) -> Drive:
-    """A drive whose process was killed just before its next write."""
     keeper, drive = begun(folder, time)
     played(drive, 1.0)
     set_state(drive, coil_c, magnet_c)
@@ -93,12 +84,12 @@ def restored(folder, time, device="dac"):
 
 
 AMBIENT_C, HOUR_S, YEARS_S = 20.0, 3_600.0, 20.0 * 365.0 * 86_400.0
+THERMAL: Any = PAPER.thermal
+QUICK = ThermalParameters(4.0, 0.5, 3.0, 400.0)  # of a coil that warms up sooner
 
 
 def rested(coil_c: float, magnet_c: float, seconds: float) -> Any:
-    """The true temperatures after a rest."""
-    assert PAPER.thermal
-    true = Temperatures(PAPER.thermal)
+    true = Temperatures(THERMAL)
     true.coil_k, true.magnet_k = coil_c - AMBIENT_C, magnet_c - AMBIENT_C
     true.heat(0.0, seconds)
     return SafetyState(AMBIENT_C + true.coil_k, AMBIENT_C + true.magnet_k)
@@ -119,26 +110,19 @@ def test_after_a_kill_it_is_as_warm_as_it_is_or_at_most_ten_kelvin_more(tmp_path
     assert keeper.warning == ""
 
 
-@example(LIMIT_C, 1.0, replace(PAPER, thermal=ThermalParameters(4.0, 0.5, 3.0, 400.0)))
+@example(LIMIT_C, 1.0, QUICK)
 @settings(max_examples=30, deadline=None)
-@given(
-    st.floats(20.0, LIMIT_C),
-    st.floats(0.0, 1.5),
-    st.sampled_from([PAPER, replace(PAPER, thermal=ThermalParameters(4.0, 0.5, 3.0, 400.0))]),
-)
-def test_nothing_that_protection_allows_is_warmer_than_the_bound(coil_c, seconds, rig):
-    strong = replace(PAPER, amplifier=replace(PAPER.amplifier, gain=20.0), thermal=rig.thermal)
-    assert strong.thermal
+@given(st.floats(20.0, LIMIT_C), st.floats(0.0, 1.5), st.sampled_from([THERMAL, QUICK]))
+def test_nothing_that_protection_allows_is_warmer_than_the_bound(coil_c, seconds, thermal):
+    strong = replace(PAPER, amplifier=replace(PAPER.amplifier, gain=20.0), thermal=thermal)
     bounds = SafetyBounds(strong, worst_second(strong, RATE))
-    state = bounds.after_unrecorded(SafetyState(coil_c, 20.0), seconds)
-    ambient_c, warm = strong.thermal.ambient_c, Temperatures(strong.thermal)
+    state: Any = bounds.after_unrecorded(SafetyState(coil_c, 20.0), seconds)
+    ambient_c, warm = thermal.ambient_c, Temperatures(thermal)
     warm.coil_k, warm.magnet_k = coil_c - ambient_c, 20.0 - ambient_c
     for _ in range(int(seconds / 0.002)):
         allowed_w = power_to_limit_w(warm, LIMIT_C - ambient_c)
         warm.heat(0.999 * min(allowed_w, 20.0**2 / 3.3), 0.002)  # 20 V, 3.3 ohm
-    assert state.coil_c is not None
-    assert ambient_c + warm.coil_k <= state.coil_c + 0.02
-    assert state.coil_c <= LIMIT_C
+    assert ambient_c + warm.coil_k - 0.02 <= state.coil_c <= LIMIT_C
 
 
 @pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=["paper", "consumer"])
@@ -190,7 +174,6 @@ def hot() -> tuple[Drive, DrivenRig]:
     """A drive that has just played, with its coil at 119 °C and its magnet at 60 °C."""
     drive = driven()
     rig: Any = drive.processors[0]
-    assert rig
     rig.restore([SafetyState(119.0, 60.0)])
     drive.process(np.zeros((1, 1)))
     rig.keep(100.0, 7.0)
@@ -274,16 +257,6 @@ def test_a_restored_rig_that_waits_for_sound_cools_and_does_not_warm():
     assert state_of(drive).coil_c < 60.0
 
 
-def test_what_is_not_recorded_is_known_to_the_next_rig():
-    keeper, drive = SafetyKeeper(), driven()
-    played(drive, 2.0)
-    keeper.update(drive.processors, 0.0)  # then the engine ends, as after a suspend
-    after = driven()
-    keeper.carry_over((), after.processors)
-    assert state_of(after).dose.squares >= state_of(drive).dose.squares > 0.0
-    assert state_of(after).coil_c >= state_of(drive).coil_c > AMBIENT_C
-
-
 def test_a_coil_that_only_cools_is_not_recorded_again_and_is_restored_as_cool(tmp_path):
     time = Time()
     keeper, drive = begun(tmp_path, time)
@@ -319,10 +292,9 @@ def test_one_channel_with_an_unknown_time_leaves_the_other_as_recorded(tmp_path)
     first, second = record["actuators"].values()
     first["boot_s"] += 5.0
     path.write_text(json.dumps(record))
-    after, keeper = two(), SafetyKeeper(tmp_path, time)
-    keeper.restore(after.processors)
-    restored_rig: Any = after.processors[0]
-    states = restored_rig.safety_states()
+    rig, keeper = two().processors[0], SafetyKeeper(tmp_path, time)
+    keeper.restore((rig,))
+    states = rig.safety_states()
     assert [state.coil_c for state in states] == [LIMIT_C, pytest.approx(80.0)]
     assert [state.dose.squares for state in states] == [first["dose"]["squares"]] * 2
     assert states[1].dose.squares == second["dose"]["squares"] > 0.0
@@ -348,8 +320,7 @@ def test_a_damaged_or_missing_record_gives_the_warmest_state_and_one_warning(tmp
     state, keeper = restored(tmp_path, time)
     assert state.coil_c == LIMIT_C
     assert state.magnet_c > 60.0
-    assert str(tmp_path / FILE) in keeper.warning
-    assert "\n" not in keeper.warning
+    assert (str(tmp_path / FILE) in keeper.warning, "\n" in keeper.warning) == (True, False)
 
 
 def test_a_clock_that_was_set_back_gives_the_warmest_state_unless_within_a_boot(tmp_path):
@@ -358,13 +329,11 @@ def test_a_clock_that_was_set_back_gives_the_warmest_state_unless_within_a_boot(
     within = Time()
     within.moment = replace(time.moment, wall_s=0.0)
     state, keeper = restored(tmp_path, within)
-    assert keeper.warning == ""
-    assert state.coil_c < LIMIT_C
+    assert (keeper.warning, state.coil_c < LIMIT_C) == ("", True)
     killed(tmp_path, time)
     time.go(-3_600.0, "another boot")
     state, keeper = restored(tmp_path, time)
-    assert state.coil_c == LIMIT_C
-    assert "future" in keeper.warning
+    assert (state.coil_c, "future" in keeper.warning) == (LIMIT_C, True)
 
 
 def test_the_dose_is_of_the_day_and_ends_at_midnight_whether_it_plays_or_waits(tmp_path):
@@ -388,6 +357,20 @@ def test_the_dose_is_of_the_day_and_ends_at_midnight_whether_it_plays_or_waits(t
     assert restored(tmp_path, time)[0].dose.squares == 0.0
 
 
+def test_what_is_not_recorded_is_known_to_the_next_rig_and_one_warning_tells(tmp_path):
+    keeper, drive = SafetyKeeper(), driven()
+    played(drive, 2.0)
+    keeper.update(drive.processors, 0.0)  # then the engine ends, as after a suspend
+    after = driven()
+    keeper.carry_over((), after.processors)
+    assert state_of(after).dose.squares >= state_of(drive).dose.squares > 0.0
+    assert state_of(after).coil_c >= state_of(drive).coil_c > AMBIENT_C
+    (tmp_path / "file").write_text("")
+    keeper, drive = begun(tmp_path / "file" / "folder", Time())
+    keeper.update(drive.processors, 0.0)
+    assert "not kept" in keeper.warning
+
+
 def test_another_device_is_cold_but_has_the_dose_of_who_sits_there(tmp_path):
     time = Time()
     killed(tmp_path, time)
@@ -398,13 +381,6 @@ def test_another_device_is_cold_but_has_the_dose_of_who_sits_there(tmp_path):
     record = json.loads((tmp_path / FILE).read_text())
     assert list(record["actuators"]) == ["dac 0.0", "another 0.0"]
     assert (tmp_path / MARK).exists()
-
-
-def test_a_folder_that_cannot_be_written_is_one_warning(tmp_path):
-    (tmp_path / "file").write_text("")
-    keeper, drive = begun(tmp_path / "file" / "folder", Time())
-    keeper.update(drive.processors, 0.0)
-    assert "not kept" in keeper.warning
 
 
 def test_what_moves_to_another_device_is_recorded_there(tmp_path):

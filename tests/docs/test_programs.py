@@ -1,5 +1,3 @@
-"""Programs, examples and the notebook of the documentation run, and show what they should."""
-
 import base64
 import doctest
 import json

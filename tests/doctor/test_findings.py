@@ -3,7 +3,6 @@
 import math
 import re
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -44,7 +43,6 @@ ELSEWHERE = {"no-device", "no-device-chosen", "no-alsa-plugin", "daemon-silent"}
 
 
 def graph(*items: Item, **clock: object) -> Graph:
-    """The graph at 48 kHz of the healthy set-up, with other objects or settings of the clock."""
     settings = {"rate": 48_000, "allowed-rates": "[ 48000 ]", "quantum": 1_024}
     settings |= {key.replace("_", "-"): value for key, value in clock.items()}
     listed = [{"key": f"clock.{key}", "value": value} for key, value in settings.items()]
@@ -79,7 +77,6 @@ def names(facts: Facts) -> list[str]:
 
 
 def changed(**values: Any) -> Facts:
-    """The healthy set-up with other facts."""
     return replace(HEALTHY, **values)
 
 
@@ -204,9 +201,7 @@ def test_a_warning_of_a_cause_that_is_a_finding_is_not_repeated() -> None:
         ('device = "hw:nocard"', ["no-device"]),
     ],
 )
-def test_a_tap_or_a_card_of_the_config_that_is_missing_is_named(
-    lines: str, found: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_tap_or_card_of_the_config_that_is_missing_is_named(lines, found, tmp_path, monkeypatch):
     (tmp_path / "cushion").mkdir()
     (tmp_path / "cushion" / "config.toml").write_text(lines)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
@@ -235,9 +230,7 @@ def test_rtkit_is_enough_for_real_time_priority(rtkit: bool | None, found: list[
         (44_100, 44_100, {"force_rate": 44_100}, 0),
     ],
 )
-def test_a_rate_clashes_if_the_graph_cannot_follow(
-    heard_hz: int, felt_hz: int, clock: dict[str, Any], clashes: int
-) -> None:
+def test_a_rate_clashes_if_the_graph_cannot_follow(heard_hz, felt_hz, clock, clashes):
     heard, felt = replace(DESKTOP, samplerate=heard_hz), replace(HAPTIC, samplerate=felt_hz)
     assert names(with_sinks(heard, felt, **clock)) == ["rate-clash"] * clashes
 

@@ -1,5 +1,3 @@
-"""Chains: who runs, in which order, into which buffer, how it is shown, and who keeps them."""
-
 from uuid import UUID
 
 import numpy as np

@@ -21,7 +21,6 @@ SLOPE_MAX = 2 * np.pi * 220.0 / RATE
 
 
 def started(cfg=None, **values):
-    """Chains with one running haptic effect, and its module."""
     cfg, chains = cfg or config(), EffectChains(FakeClock(), budget_share=float("inf"))
     chains.set_format(cfg.samplerate, cfg.channels, cfg.haptic_channels, cfg.frames)
     module = chains.add(HapticEffect(), 0)

@@ -9,13 +9,11 @@ from tests.support.effects import CYCLE_S, FRAMES, FakeClock, Probe, config, noi
 
 
 def module_of(probe, **replies):
-    """A module of an engine that answers some commands in its own way."""
     probe.replies |= {Command[name]: reply for name, reply in replies.items()}
     return EffectModule(probe, session=0, clock=FakeClock(), budget_s=0.01)
 
 
 def running_probe(**options):
-    """An engine that runs, its chains and its module."""
     probe = Probe()
     chains, module = running(probe, **options)
     probe.take()

@@ -39,7 +39,6 @@ def decoded(png):
 
 
 def picture_of(duration_s=2.0, samplerate=SAMPLERATE, **changes):
-    """The report's picture of a tone and what it might become, as an array (height, width, 3)."""
     return decoded(report_png(**arguments(duration_s, samplerate, **changes)))
 
 

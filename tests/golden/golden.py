@@ -58,7 +58,6 @@ Case = tuple[str, Callable[[Path], bytes]]
 
 
 def digest(content: bytes) -> str:
-    """Return the SHA-256 of some bytes, in hexadecimal."""
     return hashlib.sha256(content).hexdigest()
 
 
@@ -80,7 +79,6 @@ def run(*arguments: object) -> str:
 
 
 def excerpt(recording: Path, folder: Path) -> Path:
-    """Write the first seconds of a recording into a folder and return its path."""
     with soundfile.SoundFile(recording) as file:
         sound = file.read(int(EXCERPT_S * file.samplerate), dtype="float32", always_2d=True)
         path = folder / f"{recording.stem}.wav"
@@ -114,14 +112,12 @@ def kernel_settings(samplerate: int, profile: str, _folder: Path) -> bytes:
 
 
 def demo(folder: Path) -> bytes:
-    """Return the files of the demo but for its picture."""
     run("demo", "--fast", "--out", folder / "demo")
     names = ("scene.wav", "vibration.wav", "acceleration.wav")
     return b"".join((folder / "demo" / name).read_bytes() for name in names)
 
 
 def replayed(folder: Path) -> bytes:
-    """Return the replay of a capture of the demo scene, in both forms."""
     run("capture", folder / "capture", "--tap", "scene:demo")
     for form in FORMS:
         run("replay", folder / "capture", folder / f"{form}.wav", "--transform", form)
@@ -129,7 +125,6 @@ def replayed(folder: Path) -> bytes:
 
 
 def inspected(recording: Path) -> Callable[[Path], bytes]:
-    """Return a case: the principal frequencies of a recording."""
     return lambda folder: run("inspect", excerpt(recording, folder), "--json").encode()
 
 
@@ -174,7 +169,6 @@ def made(name: str) -> tuple[str, str]:
 
 
 def digests(only: Callable[[str], bool] = lambda _name: True) -> dict[str, str]:
-    """Return the digests of the cases whose names are asked for, by name."""
     names = [name for name, _ in cases() if only(name)]
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         found = dict(sorted(pool.map(made, names, chunksize=4)))

@@ -65,7 +65,6 @@ class Effects(EffectsPort):
 
 
 def playing(mixer: Mixer, sound: np.ndarray, rate: int = RATE, **options):
-    """A started track whose ring holds the whole sound."""
     options |= {"ring_frames": max(len(sound), 2_000), "start_threshold": 1}
     track = mixer.create_track("sound", PcmFormat.FLOAT, rate, sound.shape[1], **options)
     assert track.write(sound) == len(sound)

@@ -1,5 +1,3 @@
-"""The dump: what `dumpsys media.audio_flinger` would show of this mixer."""
-
 from typing import Any
 from unittest.mock import Mock
 

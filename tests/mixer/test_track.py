@@ -19,8 +19,6 @@ STEEPEST = 1.05 / FRAMES
 
 
 class Player:
-    """A mixer with one track, stepped by hand."""
-
     def __init__(self, rate: int = RATE, *, sound: Any = None, **options) -> None:
         """Sound: what is written, whose first frame may sound, and played to its end."""
         self.mixer = Mixer(RATE, 2)
@@ -35,7 +33,6 @@ class Player:
             self.track.stop()
 
     def cycle(self, count: int = 1) -> np.ndarray:
-        """The sound of so many cycles, (frames, 2)."""
         heard: list[np.ndarray] = []
         for _ in range(count):
             self.report = self.mixer.cycle(self.cycles * FRAMES / RATE)

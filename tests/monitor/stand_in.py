@@ -4,7 +4,7 @@ import json
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -55,7 +55,6 @@ class Settings:
 
 @contextmanager
 def daemon_socket(base: Path, live: Settings | None = None) -> Iterator[Settings]:
-    """A daemon's socket in the runtime folder `base`."""
     live = live or Settings()
     with (
         RuntimeFolder({"XDG_RUNTIME_DIR": str(base)}, create=True) as folder,
@@ -65,9 +64,7 @@ def daemon_socket(base: Path, live: Settings | None = None) -> Iterator[Settings
 
 
 @contextmanager
-def odd_daemon(
-    base: Path, behave: Callable[[socket.socket], None], *, accepts: bool = True
-) -> Iterator[None]:
+def odd_daemon(base, behave, *, accepts=True) -> Iterator[None]:
     """A socket in the daemon's place whose connections do as told, once they were asked."""
     with (
         RuntimeFolder({"XDG_RUNTIME_DIR": str(base)}, create=True) as folder,
@@ -145,7 +142,6 @@ def page(base: Path, *options: str) -> Iterator[Page]:
 
 
 def everything(live: ClientConnection) -> None:
-    """Read until the connection is closed, which raises."""
     for _ in range(1000):
         live.recv(timeout=LIMIT_S)
 

@@ -1,5 +1,3 @@
-"""The page's server: what browsers are told, frames, and daemons that misbehave."""
-
 import json
 import shutil
 import signal
@@ -143,9 +141,7 @@ def test_a_port_in_use_is_one_line_and_exit_code_2(tmp_path):
         assert f"--listen 127.0.0.1:{port + 1}" in second.stderr
 
 
-def test_a_page_that_is_served_already_is_shown_and_one_that_has_ended_is_served_anew(
-    tmp_path, monkeypatch
-):
+def test_a_page_that_is_served_already_is_shown_and_an_ended_one_served_anew(tmp_path, monkeypatch):
     shown, browser = tmp_path / "shown", tmp_path / "browser"
     browser.write_text(f'#!/bin/sh\ncp "${{1#file://}}" {shown}\n')
     browser.chmod(0o700)
@@ -190,24 +186,21 @@ def test_a_page_for_the_network_warns_and_still_needs_the_key(tmp_path):
         assert served.request("/", host=f"evil.example:{served.port}")[0] == 403
 
 
-def test_a_page_ends_on_a_signal_and_keeps_its_key_for_the_next_one(tmp_path):
+def test_a_page_ends_on_a_signal_keeps_its_key_and_says_where_no_browser_opens(
+    tmp_path, monkeypatch
+):
     with page(tmp_path) as first:
         key = first.key
     assert first.process.returncode == 130
     assert first.stderr.endswith("cushion: interrupted\n")
-    with page(tmp_path) as second:
-        assert second.key == key
-        second.process.send_signal(signal.SIGINT)
-        assert second.process.wait(LIMIT_S) == 130
-
-
-def test_where_there_is_no_browser_to_open_the_words_say_so(tmp_path, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("PATH", str(tmp_path))
-    with page(tmp_path, "--open") as served:
-        served.process.send_signal(signal.SIGINT)
-    assert "no browser could be started; open this address in one" in served.stderr
+    with page(tmp_path, "--open") as second:
+        assert second.key == key
+        second.process.send_signal(signal.SIGINT)
+        assert second.process.wait(LIMIT_S) == 130
+    assert "no browser could be started; open this address in one" in second.stderr
 
 
 @pytest.mark.parametrize(
@@ -282,7 +275,6 @@ def native(tmp_path):
 
 
 def play(native: NativePage, hz: float) -> None:
-    """Write as the plugin does at the end of a buffer."""
     written = native.readings
     written.partials_count = 1
     written.partials[0][:] = (hz, 100.0, 0.25)

@@ -8,17 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.transform import TransformParameters
+from audioflinger_hook.transform import TransformParameters, principal
 from audioflinger_hook.transform.arrays import ComplexArray, FloatArray
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.design.analysis import NEIGHBOURS, TABLE_BINS_A_BIN
-from audioflinger_hook.transform.principal import (
-    HALF_POWER,
-    Principals,
-    Spectrum,
-    parabola,
-    strongest,
-)
+from audioflinger_hook.transform.principal import HALF_POWER, Principals, Spectrum, parabola
 
 APART_FROM, FLOOR, CURVED, LOWER_FIRST = 1.0 + 1e-9, 1e-6, 1e-6, 1e-10
 """Ties: amplitudes differ from this ratio on; a bin beside a peak counts as at least this share of
@@ -52,7 +46,7 @@ def strongest_principal(s: Any, spectra: ComplexArray) -> Principals:
     np.maximum.at(highest, found.row, found.amplitude)
     found = found.take(found.amplitude > s.side_lobe * highest[found.row])
     bins = np.rint(found.audio_hz / s.bin_hz)
-    return strongest(found, found.r - found.r * (LOWER_FIRST * bins), s.partials_max)
+    return principal.strongest(found, found.r - found.r * (LOWER_FIRST * bins), s.partials_max)
 
 
 def _refined(around):

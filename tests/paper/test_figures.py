@@ -29,7 +29,6 @@ WINDOW_S = 0.05
 
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory):
-    """The folder with all figures, and the sheets by their names."""
     out, sheets = tmp_path_factory.mktemp("figures") / "new", {}
     with pytest.MonkeyPatch.context() as patch:  # pictures are written by another test
         patch.setattr(layout, "save", lambda sheet, path: sheets.update({path.stem: sheet}))
@@ -43,7 +42,6 @@ def table(drawn, name):
 
 
 def ends(felt):
-    """The first rows at which vibration has ended for a while."""
     rows = np.flatnonzero(np.diff(felt["over"]) == 1) + 1
     frames = round(WINDOW_S * SAMPLERATE)
     return [row for row in rows if felt["over"][row : row + frames].all()]

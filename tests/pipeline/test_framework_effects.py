@@ -1,5 +1,3 @@
-"""Other effects beside ours, as an effects file applies them: what runs, what is left out."""
-
 import json
 import sys
 from functools import partial

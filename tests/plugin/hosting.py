@@ -51,14 +51,12 @@ Descriptor._fields_ = [
 
 
 def plugin() -> Path:
-    """The compiled plugin."""
     path = plugin_path()
     assert path is not None, "the plugin is not built"
     return path
 
 
 def descriptors() -> dict[str, Descriptor]:
-    """All variants by label."""
     describe = ctypes.CDLL(str(plugin())).ladspa_descriptor
     describe.argtypes, describe.restype = [ctypes.c_ulong], ctypes.POINTER(Descriptor)
     found: dict[str, Descriptor] = {}
@@ -110,7 +108,6 @@ def any_design(kind: str, rate_hz: int, channels: int) -> bytes:
 
 
 def damaged(design: bytes) -> dict[str, bytes]:
-    """Return a design damaged in each way, by what is said of it."""
     return {
         "cut or too long": design[:-8],
         "not a design": b"RIFF" + design[4:],
@@ -161,11 +158,9 @@ class Instance:
 
     @property
     def channels(self) -> int:
-        """Of the sound."""
         return len(self._inputs)
 
     def activate(self) -> None:
-        """Begin a new stream."""
         self._variant.activate(self._handle)
 
     def run(self, sound: Floats, *, in_place: bool = False) -> Floats:
@@ -180,7 +175,6 @@ class Instance:
         return out[: len(self._outputs)].T.copy()
 
     def close(self) -> None:
-        """End it."""
         if self.made:
             self._variant.cleanup(self._handle)
         self.made = False

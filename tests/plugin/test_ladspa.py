@@ -46,7 +46,6 @@ Plug = Callable[[str], hosting.Instance]
 
 @pytest.fixture
 def plug() -> Iterator[Plug]:
-    """Makes instances of a variant, which end with the test."""
     with ExitStack() as opened:
         yield lambda variant: opened.enter_context(
             closing(hosting.Instance(f"haptic_cushion_{variant}", RATE_HZ))
@@ -149,7 +148,6 @@ def test_delay_and_bypass_change_without_a_click(plug: Plug, control: int, value
 def daemon_instance(
     folder: Path, monkeypatch: pytest.MonkeyPatch, design: bytes, page: Page, rate_hz: int
 ) -> hosting.Instance:
-    """The daemon's plugin with its design and page."""
     path = folder / "design"
     path.write_bytes(design)
     monkeypatch.setenv("HAPTIC_CUSHION_DESIGN", str(path))
@@ -162,7 +160,6 @@ Daemon = Callable[..., tuple[Page, hosting.Instance]]
 
 @pytest.fixture
 def daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Daemon]:
-    """Makes a page and an instance of a design for it, which end with the test."""
     os.mkfifo(tmp_path / "changes")
     monkeypatch.setenv("HAPTIC_CUSHION_CHANGES", str(tmp_path / "changes"))
     with ExitStack() as opened:
@@ -177,7 +174,6 @@ def daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Daemon]:
 
 
 def padded(sound: hosting.Floats) -> hosting.Floats:
-    """A sound with as many channels as the plugin has."""
     return np.pad(sound, ((0, 0), (0, 8 - sound.shape[1])))
 
 
@@ -186,7 +182,6 @@ HEARS, FADES = round(0.2 * RATE_HZ), round(0.04 * RATE_HZ)  # see daemon_core.c
 
 
 def change(page: Page, number: int, design: bytes, delay_frames: float = 0.0) -> None:
-    """Let the plugin change to a design, as the daemon does."""
     folder = page.path.parent
     (folder / f"design.{number}").write_bytes(design)
     page.prepare(number, 1, [0])

@@ -7,7 +7,7 @@ did not come in time, which it prints, nobody's did.
 
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from typing import Any
 
@@ -85,9 +85,7 @@ class BareStreams:
 
 
 @contextmanager
-def bare_streams(
-    environment: Mapping[str, str], *arguments: str, block_frames: int = WITNESS_FRAMES
-) -> Iterator[BareStreams]:
+def bare_streams(environment, *arguments, block_frames=WITNESS_FRAMES) -> Iterator[BareStreams]:
     """They run from when both are open until the context ends. arguments: of `main`."""
     command = (sys.executable, "-m", "tests.servers.bare_streams", str(block_frames), *arguments)
     with program(environment, *command) as process:

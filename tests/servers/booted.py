@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -129,8 +130,7 @@ def run(shared: Path, command: Sequence[str], limit_s: float) -> None:
     What it wrote is in `shared`/output. AssertionError: it failed. TimeoutExpired: it did not end.
     Skips where no container can be made.
     """
-    cgroups = _cgroups()
-    assert cgroups is not None
+    cgroups: Any = _cgroups()
     cgroup, layer = cgroups / f"cushion-test-{os.getpid()}", shared / "layer"
     layer.mkdir()
     words = " ".join(f'"{word}"' for word in command)
@@ -160,7 +160,6 @@ def run(shared: Path, command: Sequence[str], limit_s: float) -> None:
 
 
 def _removed(cgroup: Path) -> bool:
-    """Remove a cgroup once its processes have ended."""
     try:
         for folder, _, _ in os.walk(cgroup, topdown=False):
             Path(folder).rmdir()

@@ -1,7 +1,6 @@
 """Each kind of sound server, in a folder of its own, and PortAudio led to it."""
 
 import gc
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from device.server.pulse import PulseConnection
 from device.stream import portaudio
 from device.stream.pcms import PcmConfig
 from device.stream.streams import CaptureStream, PlaybackStream
-from tests.servers.listening import Notes, count_stuck, need
+from tests.servers.listening import Notes, count_stuck, need, own_server
 from tools.live_latency.bursts import REFERENCE
 from tools.sound_server import PROGRAMS, SoundServer, missing_programs
 
@@ -27,11 +26,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def started(kind: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[SoundServer]:
     need(missing_programs(kind))
-    # not tmp_path: a socket's path has room for some 100 characters only
-    with (
-        tempfile.TemporaryDirectory(prefix="cushion-") as folder,
-        SoundServer(kind, Path(folder)) as server,
-    ):
+    with own_server(kind) as server:
         for name, value in server.environment.items():
             if name.startswith(("PULSE_", "XDG_", "HOME", "DBUS_", "PIPEWIRE_")):
                 monkeypatch.setenv(name, value)

@@ -21,7 +21,8 @@ from audioflinger_hook.service.status_client import ask_status
 from audioflinger_hook.transform.mapping import vibration_hz
 from device.errors import CushionError
 from device.units import Float32Array
-from tests.servers.listening import RATE_HZ, playing, recording, wait_for
+from tests.servers.listening import RATE_HZ, playing, recording, wait_for, wait_seconds
+from tests.support import commands
 from tools.sound_server import SoundServer
 
 CUSHION = (sys.executable, "-m", "audioflinger_hook")
@@ -82,8 +83,15 @@ class Daemon:
             limit_s,
         )
 
+    def engine_process(self) -> int:
+        return self.wait(lambda status: status.engine_pid, "the native engine").engine_pid
+
+    def reload(self, config: Path, text: str) -> None:
+        """Let it read another config."""
+        config.write_text(text)
+        self.process.send_signal(signal.SIGHUP)
+
     def end(self, how: signal.Signals = signal.SIGTERM) -> int:
-        """Ask it to end; its exit code."""
         self.process.send_signal(how)
         return self.wait_exit()
 
@@ -142,9 +150,7 @@ def running(
 
 
 @contextmanager
-def vibrating(
-    server: SoundServer, folder: Path, sound: Float32Array, *arguments: str, **options: Any
-) -> Iterator[tuple[Daemon, Callable[[], Float32Array]]]:
+def vibrating(server, folder, sound, *arguments, **options):
     """A daemon that vibrates while a sound plays to `desktop`, and a recording of what is felt.
 
     options: of `running`.
@@ -169,20 +175,19 @@ def program(environ: Mapping[str, str], *command: str, **options: Any) -> Iterat
             process.kill()
 
 
-def cushion(server: SoundServer, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*CUSHION, *arguments],
-        env=environment(server),
-        cwd=ROOT,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=30.0,
-    )
+def cushion(server: SoundServer, *arguments: object, env: Any = None) -> commands.Done:
+    return commands.cushion(*arguments, env=environment(server) | (env or {}))
 
 
 def environment(server: SoundServer) -> dict[str, str]:
     return {**server.environment, "PYTHONPATH": str(ROOT)}
+
+
+def configured(folder: Path, text: str) -> tuple[Path, tuple[str, str]]:
+    """A config with this text, and the options that name it."""
+    path = folder / "config.toml"
+    path.write_text(text)
+    return path, ("--config", str(path))
 
 
 def tone(hz: float, seconds: float, level: float = 0.3) -> Float32Array:
@@ -244,7 +249,6 @@ def likeness(heard: NDArray[np.float64], wanted: NDArray[np.float64]) -> float:
 
 
 def felt_now(heard: Callable[[], Float32Array], seconds: float = 0.05) -> bool:
-    """Whether the end of a recording is vibration."""
     last = heard()[-int(seconds * RATE_HZ) :]
     return bool(len(last)) and float(np.abs(last).max()) > FELT
 
@@ -255,6 +259,17 @@ def longest_silence(frames: Float32Array) -> int:
     if not len(heard):
         return len(frames)
     return int(np.diff(np.concatenate([[-1], heard, [len(frames)]])).max()) - 1
+
+
+def stream_named(server: SoundServer, name: str) -> str:
+    """The index of the newest stream of an application."""
+
+    def found() -> str:
+        listed = server.pactl("list", "sink-inputs").split("Sink Input #")[1:]
+        mine = [part.split()[0] for part in listed if f'application.name = "{name}"' in part]
+        return mine[-1] if mine else ""
+
+    return wait_for(found, f"a stream of {name}")
 
 
 def links_of(server: SoundServer) -> str:
@@ -275,9 +290,6 @@ def cpu_s(pid: int) -> float:
 
 def cpu_percent(*pids: int, seconds: float = 4.0) -> list[float]:
     began_s, used_s = time.monotonic(), [cpu_s(pid) for pid in pids]
-    wait_for(lambda: time.monotonic() - began_s > seconds, "time", 2.0 * seconds)
-    elapsed_s = time.monotonic() - began_s
-    return [
-        100.0 * (cpu_s(pid) - before_s) / elapsed_s
-        for pid, before_s in zip(pids, used_s, strict=True)
-    ]
+    wait_seconds(seconds)
+    now_s, spent_s = time.monotonic(), [cpu_s(pid) for pid in pids]
+    return [*(100.0 * np.subtract(spent_s, used_s) / (now_s - began_s))]

@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,7 +18,7 @@ from device.errors import LostError
 from device.server.pulse import PulseConnection
 from device.server.snapshot import Event, Listener, ServerSnapshot
 from device.stream.pcms import PcmConfig, ServerDevice
-from device.stream.streams import CaptureStream, OnBlock, PlaybackStream
+from device.stream.streams import CaptureStream, PlaybackStream
 from device.units import Float32Array
 from tools.sound_server import SoundServer
 
@@ -122,9 +123,7 @@ class Collector:
         return np.concatenate(buffers) if buffers else np.zeros((0, 2), np.float32)
 
 
-def open_tap(
-    pcms: PcmConfig, on_frames: OnBlock, source: str = "desktop.monitor", **options: Any
-) -> CaptureStream:
+def open_tap(pcms, on_frames, source="desktop.monitor", **options) -> CaptureStream:
     pcms.pcms["cushion_tap"].target = ServerDevice(source)
     return CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, on_frames, **options)
 
@@ -148,6 +147,22 @@ def noise(seconds: float, seed: int = 1) -> Float32Array:
 def sounding(frames: Float32Array) -> Float32Array:
     """The frames without those that are silent: `noise` has none, a busy machine inserts some."""
     return frames[frames.any(axis=1)]
+
+
+@contextmanager
+def own_server(kind: str = "pipewire", **options: Any) -> Iterator[SoundServer]:
+    """A server in a folder of its own; tmp_path is too long for the path of a socket."""
+    with (
+        tempfile.TemporaryDirectory(prefix="cushion-") as folder,
+        SoundServer(kind, Path(folder), **options) as server,
+    ):
+        yield server
+
+
+def onsets(frames: Float32Array, level: float) -> list[int]:
+    """The frames at which a recording exceeds a level after a tenth of a second below."""
+    loud = np.flatnonzero(np.abs(frames).max(axis=1, initial=0.0) > level)
+    return [int(frame) for frame in loud[np.diff(loud, prepend=-RATE_HZ) > RATE_HZ // 10]]
 
 
 @contextmanager
@@ -276,15 +291,9 @@ def _format(device: str, latency_ms: int, rate_hz: int = RATE_HZ) -> list[str]:
 
 
 @contextmanager
-def _process(
-    server: SoundServer,
-    command: list[str],
-    stdin: int = subprocess.DEVNULL,
-    stdout: int | None = None,
-) -> Iterator[subprocess.Popen[bytes]]:
-    process = subprocess.Popen(
-        command, env=server.environment, stdin=stdin, stdout=stdout, stderr=subprocess.DEVNULL
-    )
+def _process(server, command, **pipes: Any) -> Iterator[subprocess.Popen[bytes]]:
+    silent: Any = {"stdin": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    process = subprocess.Popen(command, env=server.environment, **(silent | pipes))
     try:
         yield process
     finally:

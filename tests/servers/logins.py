@@ -70,7 +70,6 @@ def typed_as_told(told: str) -> list[str]:
 
 
 def log_out() -> None:
-    """End the user's sessions and, with them, the user's services."""
     uid = pwd.getpwnam(USER).pw_uid
     subprocess.run(["loginctl", "terminate-user", USER], check=True)
     last = ["systemctl", "show", "-P", "ActiveState", f"user-{uid}.slice"]

@@ -74,6 +74,12 @@ def apps(server):
     assert apps.close()
 
 
+def captured(apps, player):
+    """A capture of a player's stream, and where its frames go."""
+    collector = Collector()
+    return apps.open(player.index, RATE_HZ, 2, collector), collector
+
+
 def amplitude(frames: Float32Array, hz: int) -> float:
     window = np.hanning(len(frames))
     wave = np.exp(-2j * np.pi * hz * np.arange(len(frames)) / RATE_HZ)
@@ -128,8 +134,7 @@ def test_samples_come_bit_for_bit(server, apps, connection):
 
 def test_the_applications_volume_and_mute_count_the_sinks_do_not(server, apps):
     with tone(server, 440) as player:
-        collector = Collector()
-        apps.open(player.index, RATE_HZ, 2, collector)
+        _, collector = captured(apps, player)
         index = str(player.index)
 
         def comes(level: float) -> None:
@@ -150,7 +155,7 @@ def test_the_applications_volume_and_mute_count_the_sinks_do_not(server, apps):
         comes(LEVEL)
 
 
-def test_the_server_converts_rate_and_channels(server, apps):
+def test_the_server_converts_rate_and_channels_and_what_cannot_be_captured_is_said(server, apps):
     with tone(server, 440) as player:
         collector = Collector()
         capture = apps.open(player.index, 24_000, 1, collector)
@@ -160,9 +165,6 @@ def test_the_server_converts_rate_and_channels(server, apps):
         assert frames.dtype == np.float32
         assert np.argmax(np.abs(np.fft.rfft(frames[:, 0]))) == pytest.approx(440 / 4, abs=1)
         assert capture.close()
-
-
-def test_what_cannot_be_captured_is_said(server, apps):
     with pytest.raises(NotFoundError, match="no application plays a stream with the index 4711"):
         apps.open(4_711, RATE_HZ, 2, Collector())
     apps.close()
@@ -172,9 +174,8 @@ def test_what_cannot_be_captured_is_said(server, apps):
 
 def test_two_applications_come_apart_and_the_end_of_one_ends_its_capture_alone(server, apps):
     with tone(server, 440) as one, tone(server, 720) as other:
-        first, second = Collector(), Collector()
-        capture = apps.open(one.index, RATE_HZ, 2, first)
-        stays = apps.open(other.index, RATE_HZ, 2, second)
+        capture, first = captured(apps, one)
+        stays, second = captured(apps, other)
         for collector, own_hz, other_hz in ((first, 440, 720), (second, 720, 440)):
             assert steady(collector, own_hz) == pytest.approx(LEVEL, rel=0.01)
             assert foreign(collector, other_hz) < SILENT
@@ -183,8 +184,7 @@ def test_two_applications_come_apart_and_the_end_of_one_ends_its_capture_alone(s
         assert capture.close()
         assert capture.ended is EndReason.GONE
         assert steady(second, 720) == pytest.approx(LEVEL, rel=0.01)
-        assert stays.ended is None
-        assert stays.errors == {}
+        assert (stays.ended, stays.errors) == (None, {})
         assert stays.frames >= stays.callbacks > 0
         assert stays.close()
         assert stays.ended is EndReason.CLOSED
@@ -195,8 +195,7 @@ def test_two_applications_come_apart_and_the_end_of_one_ends_its_capture_alone(s
 def test_a_moved_application_is_captured_on_or_its_capture_ends(server, apps):
     server.add_sink("speakers")
     with tone(server, 440) as player, tone(server, 720, "speakers"):
-        collector = Collector()
-        capture = apps.open(player.index, RATE_HZ, 2, collector)
+        capture, collector = captured(apps, player)
         last(collector)
         server.pactl("move-sink-input", str(player.index), "speakers")
         if server.kind == "pulse":
@@ -224,8 +223,8 @@ def test_a_server_that_dies_ends_all_captures(server, apps):
             AppCaptures()
     server.start()
     with tone(server, 440) as player:
-        again, collector = AppCaptures(), Collector()
-        again.open(player.index, RATE_HZ, 2, collector)
+        again = AppCaptures()
+        _, collector = captured(again, player)
         assert steady(collector, 440) == pytest.approx(LEVEL, rel=0.01)
         assert again.close()
 
@@ -249,8 +248,7 @@ def test_a_server_that_hangs_counts_as_lost(server, apps):
 @pytest.mark.parametrize("hangs", [False, True], ids=["pauses", "hangs"])
 def test_an_application_that_pauses_or_hangs_is_not_lost_and_goes_on(server, apps, hangs):
     with tone(server, 440) as player:
-        collector = Collector()
-        capture = apps.open(player.index, RATE_HZ, 2, collector)
+        capture, collector = captured(apps, player)
         assert steady(collector, 440) == pytest.approx(LEVEL, rel=0.01)
         if hangs:
             player.process.send_signal(signal.SIGSTOP)
@@ -276,9 +274,8 @@ def test_an_application_that_pauses_already_is_captured_once_it_goes_on(server, 
     with tone(server, 440) as player:
         player.tell("pause")
         wait_for(lambda: stream_of(connection, player.process.pid).corked, "the pause")
-        collector, unwanted = Collector(), Collector()
-        capture = apps.open(player.index, RATE_HZ, 2, collector)
-        given_up = apps.open(player.index, RATE_HZ, 2, unwanted)
+        capture, collector = captured(apps, player)
+        given_up, unwanted = captured(apps, player)
         assert given_up.close()
         assert capture.ended is None
         assert not collector.frames().any()
@@ -323,7 +320,7 @@ def test_a_microphone_is_never_captured(server, apps, connection):
             last(collector)
         wait_for(lambda: all(item.ended for item in captures), "the end of the captures")
     frames = collector.frames()
-    pieces = [frames[start : start + 4_800] for start in range(0, len(frames) - 4_800, 4_800)]
+    pieces = np.array_split(frames, len(frames) // 4_800)
     heard = [amplitude(piece, MICROPHONE_HZ) for piece in pieces]
     assert max(heard) < 0.05 * LEVEL
     assert np.median(heard) < SILENT

@@ -1,11 +1,11 @@
 """`cushion doctor` names the cause of each broken set-up, and finds nothing in a healthy one."""
 
 import json
+import re
 import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
@@ -36,20 +36,13 @@ class Visit:
         self.commands = {one["name"]: one["command"] for one in found}
 
     def facts(self, label: str) -> str:
-        """The facts of one label, a line each."""
         return "\n".join(one["text"] for one in self.document["facts"] if one["label"] == label)
 
 
-def visit(
-    server: SoundServer,
-    *arguments: str,
-    variables: Mapping[str, str] = {},
-    within: Sequence[str] = (),
-    root: Path = ROOT,
-) -> Visit:
+def visit(server, *arguments, variables=None, within=(), root=ROOT) -> Visit:
     done = subprocess.run(
         [*within, *CUSHION, "doctor", "--json", *arguments],
-        env={**environment(server), "PYTHONPATH": str(root), **variables},
+        env={**environment(server), "PYTHONPATH": str(root), **(variables or {})},
         cwd=root,
         stdin=subprocess.DEVNULL,
         capture_output=True,
@@ -86,11 +79,17 @@ def test_a_healthy_set_up_has_no_finding(configured) -> None:
     assert ".vibration -> haptic (" in found.facts("link")
 
 
+def finds(server: SoundServer, name: str, *words: str, **options: Any) -> str:
+    """What the doctor advises without a daemon; it finds this, and says so in these words."""
+    found = visit(server, **options)
+    assert (found.code, found.names) == (1, [name, "no-daemon"])
+    assert [word for word in words if word not in found.wrong[name]] == []
+    return str(found.commands[name])
+
+
 def test_no_server_is_named(configured) -> None:
     configured.stop()
-    found = visit(configured)
-    assert (found.code, found.names) == (1, ["no-server", "no-daemon"])
-    assert configured.address in found.wrong["no-server"]
+    finds(configured, "no-server", configured.address)
 
 
 def test_a_server_that_hangs_is_told_from_none(server) -> None:
@@ -105,9 +104,8 @@ def test_a_server_that_hangs_is_told_from_none(server) -> None:
 
 
 def test_pipewire_without_pipewire_pulse_is_named(configured) -> None:
-    found = visit(configured, variables={"PULSE_SERVER": "unix:/nonexistent"})
-    assert found.names == ["no-pulse", "no-daemon"]
-    assert found.commands["no-pulse"] == "systemctl --user start pipewire-pulse"
+    command = finds(configured, "no-pulse", variables={"PULSE_SERVER": "unix:/nonexistent"})
+    assert command == "systemctl --user start pipewire-pulse"
 
 
 def test_the_haptic_sink_as_default_is_named_with_the_command(server) -> None:
@@ -131,9 +129,7 @@ def mute(server: SoundServer, volume: str) -> None:
 
 def test_a_muted_device_is_named_and_unmuted_at_its_volume_while_nothing_plays(configured) -> None:
     mute(configured, "60%")
-    found = visit(configured)
-    assert found.names == ["device-muted", "no-daemon"]
-    assert "volume 60 %" in found.wrong["device-muted"]
+    finds(configured, "device-muted", "volume 60 %")
     with playing(configured, "haptic", tone(60.0, 60.0)):
         wait_for(lambda: "RUNNING" in configured.pactl("list", "short", "sinks"), "sound")
         fixed = visit(configured, "--fix")
@@ -153,10 +149,7 @@ def test_a_device_above_full_volume_stays_muted(configured) -> None:
 def test_an_output_at_another_rate_than_the_graph_is_named(configured) -> None:
     configured.add_sink("cd", rate_hz=44_100)
     configured.choose_default("cd")
-    found = visit(configured)
-    assert found.names == ["rate-clash", "no-daemon"]
-    assert "'cd' runs at 44100 Hz" in found.wrong["rate-clash"]
-    assert "48000 Hz" in found.wrong["rate-clash"]
+    finds(configured, "rate-clash", "'cd' runs at 44100 Hz", "48000 Hz")
 
 
 def test_a_forced_rate_is_named_and_its_command_ends_it(configured) -> None:
@@ -217,8 +210,10 @@ def test_two_daemons_that_play_are_named_with_their_processes(server, tmp_path) 
     assert "no-daemon" not in found.names
 
 
-def test_a_daemon_that_hangs_is_named_with_its_process(configured) -> None:
+def test_the_lock_of_a_daemon_stays_and_one_that_hangs_is_named_with_its_process(configured):
     with running(configured) as daemon:
+        visit(configured, "--fix")
+        assert (configured.folder / "cushion" / LOCK_NAME).exists()
         daemon.process.send_signal(signal.SIGSTOP)
         found = visit(configured)
         daemon.process.send_signal(signal.SIGCONT)
@@ -237,19 +232,11 @@ def test_the_lock_of_a_killed_daemon_is_named_and_removed(configured) -> None:
     assert not (configured.folder / "cushion" / LOCK_NAME).exists()
 
 
-def test_the_lock_of_a_running_daemon_is_never_removed(configured) -> None:
-    with running(configured):
-        visit(configured, "--fix")
-        assert (configured.folder / "cushion" / LOCK_NAME).exists()
-
-
 def test_a_plugin_that_was_not_built_is_named(configured, tmp_path) -> None:
     for package in ("audioflinger_hook", "device"):
         left_out = shutil.ignore_patterns("haptic_cushion.so", "__pycache__", "*.c")
         shutil.copytree(ROOT / package, tmp_path / package, ignore=left_out)
-    found = visit(configured, root=tmp_path)
-    assert found.names == ["no-plugin", "no-daemon"]
-    assert found.commands["no-plugin"] == "make run"
+    assert finds(configured, "no-plugin", root=tmp_path) == "make run"
 
 
 def test_a_plugin_that_a_configuration_needs_is_installed_again(configured) -> None:
@@ -258,7 +245,7 @@ def test_a_plugin_that_a_configuration_needs_is_installed_again(configured) -> N
     assert visit(configured).names == ["no-daemon"]
     plugin = configured.folder / "home/.local/share/haptic-cushion/haptic_cushion.so"
     plugin.unlink()
-    assert visit(configured).names == ["plugin-copy", "no-daemon"]
+    finds(configured, "plugin-copy")
     assert visit(configured, "--fix").names == ["no-daemon"]
     assert plugin.is_file()
 
@@ -267,10 +254,8 @@ def test_a_full_disk_is_named_with_its_folder(configured, small_disk) -> None:
     with suppress(OSError), (small_disk / "full").open("wb", buffering=0) as file:
         while file.write(bytes(4_096)):
             pass
-    found = visit(configured, variables={"XDG_STATE_HOME": str(small_disk)})
-    assert found.names == ["disk-full", "no-daemon"]
-    assert "0 kB" in found.wrong["disk-full"]
-    assert str(small_disk) in found.wrong["disk-full"]
+    state = {"XDG_STATE_HOME": str(small_disk)}
+    finds(configured, "disk-full", "0 kB", str(small_disk), variables=state)
 
 
 def test_a_missing_runtime_folder_is_made(configured, tmp_path) -> None:
@@ -285,18 +270,14 @@ def test_each_mistake_of_the_config_is_named_with_its_line(configured) -> None:
     configure(configured, 'device = "sink:haptic"\ngain_db = 99\n[transform]\ndynamcs = 1\n')
     found = visit(configured)
     assert found.names == ["config", "config", "no-daemon"]
-    texts = [one["wrong"] for one in found.document["findings"]]
-    assert "gain_db" in texts[0]
-    assert "99" in texts[0]
-    assert "dynamcs" in texts[1]
-    assert "line 4" in texts[1]
+    first, second, *_ = (one["wrong"] for one in found.document["findings"])
+    assert re.search("gain_db.*99", first)
+    assert ("dynamcs" in second, "line 4" in second) == (True, True)
 
 
 def test_pulseaudio_alone_is_named(pulse) -> None:
     configure(pulse)
-    found = visit(pulse)
-    assert found.names == ["pulseaudio", "no-daemon"]
-    assert "Python engine" in found.wrong["pulseaudio"]
+    finds(pulse, "pulseaudio", "Python engine")
 
 
 def test_the_report_has_no_name_of_a_file_a_stream_or_a_person(configured, tmp_path) -> None:
@@ -311,8 +292,6 @@ def test_the_report_has_no_name_of_a_file_a_stream_or_a_person(configured, tmp_p
         shown = visit(configured, "--report", str(report))
     assert private in shown.wrong["config"]
     text = report.read_text()
-    assert private not in text
-    assert "seat.toml" not in text
-    assert str(configured.folder) not in text
+    assert not any(hidden in text for hidden in (private, "seat.toml", str(configured.folder)))
     assert "rig" in text  # the key of the mistake stays
     assert "haptic: 48000 Hz" in text

@@ -1,45 +1,52 @@
-"""Two sound cards whose clocks differ: the delay between them stays what it should be.
+"""Delays that stay what they are: between two sound cards whose clocks differ, and live latency.
 
 The second card is a PulseAudio of its own whose clock runs fast or slow. Null sinks have a pace of
 their own besides (their blocks are rounded to microseconds), so the true drift is read off the
 two monitors.
 """
 
+import json
 import os
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from audioflinger_hook.cli.process import freeze_loaded_objects
+from audioflinger_hook.config.profiles import LIVE_DEFAULT, parameters_of
 from audioflinger_hook.config.settings import LiveSettings
 from audioflinger_hook.daemon.capture_queue import CaptureQueue
 from audioflinger_hook.daemon.engine import Clocks, Engine
+from audioflinger_hook.transform import HapticTransform
 from device.clock.delay_control import DelayState, DelayStatus
 from device.stream import CaptureStream, PcmConfig, PlaybackStream
 from device.stream.pcms import ServerDevice
 from tests.servers.bare_streams import bare_streams
-from tests.servers.listening import RATE_HZ, need, playing, wait_for
+from tests.servers.daemons import ROOT, environment, running
+from tests.servers.listening import ATTEMPTS, RATE_HZ, need, own_server, playing, wait_for
+from tools.bench.sections.kept_records import CPU_PERCENT, LAG, NO_GROWTH_MS, USUAL_BLOCK_FRAMES
+from tools.latency import main
 from tools.live_latency.lag import swelling_tone
 from tools.live_latency.pauses import Pause, PauseWitness, undisturbed
+from tools.live_latency.record import RECORD, TRUSTED_MS, LiveRecord, keep_records, read_records
 from tools.live_latency.recording import Recording
-from tools.sound_server import SoundServer, missing_clock, missing_programs
+from tools.sound_server import PROGRAMS, SoundServer, missing_clock, missing_programs
 
 pytestmark = pytest.mark.calm
 
 SOAK_S = float(os.environ.get("CUSHION_DRIFT_SOAK_S", "300"))
-"""How long each pair of clocks is watched in the soak."""
-
 SHORT_S = 20.0
 SETTLES_S = 60.0  # the delay line steers with 0.02 Hz once it has found its target
 POLL_S = 0.1
-RECOVERS_S = 4.0
-"""What a gap may disturb: frames are lost, and the clock waits for 2 s before it takes its word."""
+RECOVERS_S = 4.0  # frames are lost, and the clock waits for 2 s before it takes its word
 LEAST_CLEAR = 0.7  # of the time, what must be free of such pauses for a run to tell anything
 
 
@@ -63,9 +70,8 @@ class Watched:
 
     @property
     def errors_ms(self) -> np.ndarray:
-        errors_ms = [1e3 * (status.delay_s - status.target_s) for status in self.statuses]
-        clear: np.ndarray = np.array(errors_ms)[self.clear]
-        return clear
+        errors_s = np.array([status.delay_s - status.target_s for status in self.statuses])
+        return np.asarray(1e3 * errors_s[self.clear])
 
     @property
     def ratio_ppm(self) -> float:
@@ -93,16 +99,8 @@ def two_cards(ratio: float, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[So
     """A server of the usual pace and one whose clock runs at this ratio to it."""
     need(missing_programs("pulse") + missing_clock())
     with ExitStack() as stack:
-        servers = [
-            stack.enter_context(
-                SoundServer(
-                    "pulse",
-                    Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="cushion-"))),
-                    clock_ratio=clock_ratio,
-                )
-            )
-            for clock_ratio in (1.0, ratio)
-        ]
+        clocks = (own_server("pulse", clock_ratio=clock_ratio) for clock_ratio in (1.0, ratio))
+        servers = [stack.enter_context(one) for one in clocks]
         for name, value in servers[0].environment.items():
             if name.startswith(("PULSE_", "XDG_", "HOME", "DBUS_")):
                 monkeypatch.setenv(name, value)
@@ -204,3 +202,79 @@ def test_the_delay_stays_on_its_target_for_minutes(ratio, monkeypatch):
     assert found.resyncs == 0
     assert np.abs(found.errors_ms).max() <= 1.0
     assert found.ratio_ppm == pytest.approx(found.drift_ppm, abs=30.0)
+
+
+WATCHED_S = float(os.environ.get("CUSHION_LATENCY_SOAK_S", "600"))
+
+
+def latency(*arguments: str, environ: dict[str, str] | None = None) -> Any:
+    command = [sys.executable, str(ROOT / "tools/latency.py"), *arguments]
+    pipes: Any = {"stdin": subprocess.DEVNULL, "capture_output": True, "text": True}
+    return subprocess.run(command, env=environ, timeout=120.0, **pipes)
+
+
+def measured(arguments: list[str], environ: dict[str, str] | None = None) -> Any:
+    for attempt in range(1, ATTEMPTS + 1):
+        done = latency("--json", *arguments, environ=environ)
+        assert done.stderr == ""
+        document = json.loads(done.stdout)
+        assert document["schema"] == 1
+        (found,) = document["records"]
+        assert set(found) == {field.name for field in fields(LiveRecord)}
+        record = LiveRecord(**found)
+        print(record)
+        usable = record.trusted and record.lag_median_ms is not None
+        assert done.returncode == (0 if usable else 1)
+        if usable or attempt == ATTEMPTS:
+            return record
+    raise AssertionError("unreachable")
+
+
+@pytest.mark.servers
+@pytest.mark.parametrize("kind", ["pipewire", pytest.param("pulse", marks=pytest.mark.soak)])
+def test_the_tool_finds_a_plausible_lag_and_no_error_of_its_own(kind, tmp_path):
+    need(missing_programs(kind))
+    kept = tmp_path / "live.json"
+    record = measured(["--kind", kind, "--seconds", "12", "--out", str(kept)])
+    assert kind in record.server.lower()
+    assert record.trusted
+    assert abs(record.check_median_ms or 0.0) <= TRUSTED_MS
+    assert 20.0 < record.lag_median_ms < 150.0
+    # the budget leaves out what servers hold back, and no more than that
+    assert -5.0 < record.lag_median_ms - record.budget_ms < 60.0
+    transform = HapticTransform(RATE_HZ, 2, parameters_of(LIVE_DEFAULT))
+    assert record.transform_ms == pytest.approx(1e3 * transform.latency_s, abs=0.1)
+    assert (len(record.lags_ms), [each.name for each in read_records(kept)]) == (4, [record.name])
+
+
+@pytest.mark.servers
+def test_a_daemon_that_already_runs_is_measured_where_it_is(pipewire):
+    done = latency("--here", environ=environment(pipewire))
+    assert done.returncode == 1
+    assert done.stderr == "latency: error: no daemon plays here; start one with `cushion run`\n"
+    with running(pipewire):
+        record = measured(["--here", "--play", "--seconds", "6"], environment(pipewire))
+    assert record.block_frames is None
+    assert 20.0 < record.lag_median_ms < 150.0
+    assert abs(record.check_median_ms or 0.0) <= TRUSTED_MS
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("kind", sorted(PROGRAMS))
+def test_the_latency_is_short_and_does_not_grow(kind, monkeypatch):
+    need(missing_programs(kind))
+    with tempfile.TemporaryDirectory(prefix="cushion-") as folder:
+        out = Path(folder) / "live.json"
+        arguments = ["--kind", kind, "--seconds", str(WATCHED_S), "--out", str(out)]
+        monkeypatch.setattr(sys, "argv", ["latency.py", *arguments])
+        code = main()
+        record: Any = read_records(out)[0]
+    keep_records([record], ROOT / RECORD)  # a failure is kept as well
+    assert code == 0
+    assert record.block_frames == USUAL_BLOCK_FRAMES
+    if record.busy:
+        pytest.skip(f"load over {record.cores}, where nothing is promised: {record}")
+    assert LAG.met(record.lag_median_ms), record
+    assert NO_GROWTH_MS.met(abs(record.hidden_growth_ms)), record
+    assert NO_GROWTH_MS.met(abs(record.growth_ms)), record
+    assert CPU_PERCENT.met(record.cpu_percent), record

@@ -1,16 +1,17 @@
 """Settings that change while sound plays: one process, no gap and no click."""
 
 import itertools
-import signal
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
 from device.units import Float32Array
+from tests.servers.daemons import configured
 from tests.servers.listening import RATE_HZ, more
 from tests.servers.test_native import witnessed
-from tests.servers.witness import Verdict, tears
+from tests.servers.witness import Heard, Verdict, tears
 
 pytestmark = [pytest.mark.servers, pytest.mark.calm]
 
@@ -53,25 +54,29 @@ def is_steady(part: Float32Array, steady_db: float) -> bool:
     return found[0] > -20.0 and found[1] <= max(steady_db + 3.0, -80.0)
 
 
+def check_steady(what: str, heard: Sequence[Heard], act: Callable[[], None]) -> None:
+    """What is felt, `heard` with the played sound and a witness, is as steady while `act` runs."""
+    more(heard[0], 3.0)
+    steady_db = loudest_above(heard[0]()[-2 * RATE_HZ :])
+    verdict, shown = Verdict(what, needed=1), False
+    while not shown:
+        begins = [len(one()) for one in heard]
+        act()
+        parts = [one()[begin:] for one, begin in zip(heard, begins, strict=True)]
+        found = is_steady(parts[0], steady_db), tears(parts[1]) == 0
+        shown = verdict.add(found, good=all(found), witness_torn=tears(parts[2]) > 0)
+
+
 @pytest.mark.parametrize("count", [10, pytest.param(40, marks=pytest.mark.soak)])
-def test_changes_of_settings_keep_the_process_and_are_not_felt_as_gaps_or_clicks(
-    pipewire, count, tmp_path
-):
-    config = tmp_path / "config.toml"
-    config.write_text("")
-    with witnessed(pipewire, tmp_path, config, engine="native") as (daemon, heard):
-        felt = heard[0]
-        process = daemon.wait(lambda status: status.engine_pid, "the engine").engine_pid
-        more(felt, 3.0)
-        steady = loudest_above(felt()[-2 * RATE_HZ :])
-        verdict, shown = Verdict("changes of settings", needed=1), False
-        while not shown:
-            begins = [len(one()) for one in heard]
+def test_changes_of_settings_keep_the_process_and_neither_gap_nor_click(pipewire, count, tmp_path):
+    config, named = configured(tmp_path, "")
+    with witnessed(pipewire, tmp_path, named, engine="native") as (daemon, heard):
+        process = daemon.engine_process()
+
+        def change() -> None:
             for lines in itertools.islice(itertools.cycle(CHANGES), count):
-                config.write_text(lines)
-                daemon.process.send_signal(signal.SIGHUP)
-                more(felt, EVERY_S)
+                daemon.reload(config, lines)
+                more(heard[0], EVERY_S)
                 assert daemon.status().engine_pid == process, lines
-            parts = [one()[begin:] for one, begin in zip(heard, begins, strict=True)]
-            found = is_steady(parts[0], steady), tears(parts[1]) == 0
-            shown = verdict.add(found, good=all(found), witness_torn=tears(parts[2]) > 0)
+
+        check_steady("changes of settings", heard, change)

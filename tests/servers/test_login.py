@@ -24,8 +24,10 @@ def logins(tmp_path_factory):
     return json.loads((folder / "result.json").read_text())
 
 
-def test_what_setup_prints_starts_the_daemon_now(logins):
-    assert logins["before"]["activestate"] == "inactive"
+def test_without_a_device_the_page_starts_no_daemon_but_what_setup_prints_does_now(logins):
+    assert "names no device" in logins["page before"]["error"]
+    before = logins["before"]
+    assert (before["activestate"], before["unitfilestate"]) == ("inactive", "")
     assert logins["told"] == ["systemctl --user restart cushion.service"]
     assert_plays(logins["set up"], "cinema")
 
@@ -55,11 +57,6 @@ def test_undone_setups_leave_nothing_that_runs(logins):
     assert_plays(logins["undone once"], "cinema")
     for which in ("undone", "after undo"):
         assert (logins[which]["activestate"], logins[which]["unitfilestate"]) == ("inactive", "")
-
-
-def test_the_page_starts_no_daemon_that_would_have_no_device(logins):
-    assert "names no device" in logins["page before"]["error"]
-    assert logins["before"]["unitfilestate"] == ""
 
 
 def assert_plays(seen, profile):

@@ -4,7 +4,6 @@ import os
 import shutil
 import signal
 import subprocess
-import tempfile
 import time
 from collections.abc import Callable
 from contextlib import contextmanager
@@ -17,7 +16,7 @@ from audioflinger_hook.service.state import Cause, DaemonState
 from device.units import Float32Array
 from tests.servers.daemons import (
     FELT,
-    Daemon,
+    configured,
     cpu_percent,
     cushion,
     felt_now,
@@ -28,17 +27,21 @@ from tests.servers.daemons import (
     tone,
     vibrating,
 )
-from tests.servers.listening import RATE_HZ, more, playing, recording, wait_for, wait_seconds
+from tests.servers.listening import (
+    RATE_HZ,
+    more,
+    own_server,
+    playing,
+    recording,
+    wait_for,
+    wait_seconds,
+)
 from tests.servers.witness import check_step, witness_tone
-from tools.sound_server import SoundServer
+from tests.support.commands import refused
 
 pytestmark = [pytest.mark.servers, pytest.mark.calm]
 
 BACK_S = 1.0  # within this the vibration is back once a fault is over
-
-
-def engine_process(daemon: Daemon) -> int:
-    return daemon.wait(lambda status: status.engine_pid, "the native engine").engine_pid
 
 
 def is_alive(process_id: int) -> bool:
@@ -63,26 +66,12 @@ def test_auto_takes_the_native_engine_on_pipewire_and_says_so(pipewire):
     assert "native" in shown.stdout
 
 
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [(("--engine", "python"), "engine = 'python'"), (("--drop-in",), "drop_in is on")],
-)
-def test_the_status_says_why_the_python_engine_plays(pipewire, arguments, reason):
-    with (
-        playing(pipewire, "desktop", tone(60.0, 60.0), name="player"),
-        running(pipewire, *arguments, engine=None) as daemon,
-    ):
-        status = daemon.wait_ready()
-    assert (status.engine, status.engine_reason) == ("python", reason)
-
-
 def test_on_pulseaudio_auto_takes_the_python_engine_and_native_ends_with_3(pulse):
     with running(pulse, engine=None) as daemon:
         status = daemon.wait_ready()
     assert (status.engine, status.engine_reason) == ("python", "the sound server is PulseAudio")
-    refused = cushion(pulse, "run", "--device", "haptic", "--engine", "native")
-    assert refused.returncode == 3
-    assert "the sound server is PulseAudio" in refused.stderr
+    native = cushion(pulse, "run", "--device", "haptic", "--engine", "native")
+    assert "the sound server is PulseAudio" in refused(native, 3)
 
 
 @pytest.mark.parametrize("program", ["pipewire", "pw-dump", "pw-cli"])
@@ -96,24 +85,21 @@ def test_without_a_program_auto_says_so_and_native_ends_with_3(pipewire, program
         status = daemon.wait_ready()
     assert status.engine == "python"
     assert f"the program {program} is missing" in status.engine_reason
-    with running(pipewire, engine="native", ready=False, variables=without) as daemon:
-        assert daemon.wait_exit() == 3
-    assert f"the program {program} is missing" in daemon.stderr
-    assert "Traceback" not in daemon.stderr
+    told = cushion(pipewire, "run", "--device", "haptic", "--engine", "native", env=without)
+    assert f"the program {program} is missing" in refused(told, 3)
 
 
 def test_each_actuator_plays_its_own_side_level_and_polarity(pipewire, tmp_path):
-    config = tmp_path / "config.toml"
-    config.write_text(
+    _, named = configured(
+        tmp_path,
         '[[actuator]]\nchannels = [0]\nsource = "left"\n'
-        '[[actuator]]\nchannels = [1]\nsource = "mix"\ngain_db = -6.0\npolarity = "inverted"\n'
+        '[[actuator]]\nchannels = [1]\nsource = "mix"\ngain_db = -6.0\npolarity = "inverted"\n',
     )
     sound = tone(60.0, 6.0)
     sound[:, 1] = 0.0
-    # in `paper`, vibration is proportional to sound
-    options = ("--config", str(config), "--profile", "paper")
     with (
-        running(pipewire, *options, engine="native") as daemon,
+        # in `paper`, vibration is proportional to sound
+        running(pipewire, *named, "--profile", "paper", engine="native") as daemon,
         recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
         playing(pipewire, "desktop", sound),
     ):
@@ -130,27 +116,19 @@ def test_each_actuator_plays_its_own_side_level_and_polarity(pipewire, tmp_path)
 
 
 def test_leaving_an_application_out_is_not_told_as_a_change_of_the_default(pipewire, tmp_path):
-    config = tmp_path / "config.toml"
-    config.write_text("gain_db = 0\n")
-    with (
-        playing(pipewire, "desktop", tone(110.0, 240.0), name="player"),
-        running(pipewire, "--config", str(config), engine="native") as daemon,
-        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
-    ):
-        wait_for(lambda: felt_now(felt), "vibration")
-        config.write_text('[applications]\nexclude = ["player"]\n')
-        daemon.process.send_signal(signal.SIGHUP)
+    config, named = configured(tmp_path, "gain_db = 0\n")
+    sound = tone(110.0, 240.0)
+    with vibrating(pipewire, tmp_path, sound, *named, engine="native") as (daemon, felt):
+        daemon.reload(config, '[applications]\nexclude = ["player"]\n')
         wait_for(lambda: not felt_now(felt), "silence")
-        config.write_text("gain_db = 0\n")
-        daemon.process.send_signal(signal.SIGHUP)
+        daemon.reload(config, "gain_db = 0\n")
         wait_for(lambda: felt_now(felt), "vibration")
         assert "default-changed" not in daemon.stderr
 
 
 @contextmanager
-def witnessed(server, folder, config, engine):
+def witnessed(server, folder, named, engine):
     """A daemon that vibrates, with what is felt, the played sound and a witness."""
-    named = ("--config", str(config))
     with (
         witness_tone(folder) as witness,
         vibrating(server, folder, tone(110.0, 240.0), *named, engine=engine) as (daemon, felt),
@@ -160,13 +138,9 @@ def witnessed(server, folder, config, engine):
 
 
 def test_a_new_level_profile_or_delay_takes_effect(pipewire, tmp_path):
-    config = tmp_path / "config.toml"
-    config.write_text("gain_db = 0\n")
-    named = ("--config", str(config))
-    with vibrating(pipewire, tmp_path, tone(110.0, 240.0), *named, engine="native") as (
-        daemon,
-        felt,
-    ):
+    config, named = configured(tmp_path, "gain_db = 0\n")
+    sound = tone(110.0, 240.0)
+    with vibrating(pipewire, tmp_path, sound, *named, engine="native") as (daemon, felt):
         # the least and the most change of the peak, and the delay then; no gap and no click:
         # tests/servers/test_live_changes.py
         for text, least, most, offset_ms in (
@@ -175,51 +149,45 @@ def test_a_new_level_profile_or_delay_takes_effect(pipewire, tmp_path):
             ("offset_ms = 40\n", 0.1, 10.0, 40.0),
         ):
             level = np.abs(more(felt, 1.0)[-RATE_HZ // 4 :]).max()
-            config.write_text(text)
-            daemon.process.send_signal(signal.SIGHUP)
+            daemon.reload(config, text)
             change = np.abs(more(felt, 1.5)[-RATE_HZ // 4 :]).max() / level
             assert least < change < most, text
-            status = daemon.status()
-            assert status is not None
-            assert status.latency.offset_ms == offset_ms
+            assert daemon.status().latency.offset_ms == offset_ms
 
 
 @pytest.mark.parametrize("engine", ["python", "native"])
 def test_a_change_of_engine_costs_under_2_s_and_does_not_click(pipewire, engine, tmp_path):
     engines = ("native", "python") if engine == "python" else ("python", "native")
-    config = tmp_path / "config.toml"
-    config.write_text(f'engine = "{engines[0]}"\n')
-    with witnessed(pipewire, tmp_path, config, engine=None) as (daemon, heard):
+    texts = (f'engine = "{engines[0]}"\n', f'engine = "{engines[1]}"\n')
+    config, named = configured(tmp_path, texts[0])
+    with witnessed(pipewire, tmp_path, named, engine=None) as (daemon, heard):
 
         def settle(which: int) -> None:
             daemon.wait(lambda status: status.engine == engines[which], "the engine")
             if engines[which] == "python":
                 daemon.wait(lambda status: status.engine_pid == 0, "the native engine's end")
 
-        texts = (f'engine = "{engines[0]}"\n', f'engine = "{engines[1]}"\n')
         check_step(daemon, config, texts, heard, settle, silent_ms=2_000.0)
 
 
 def test_it_idles_without_processor_time_and_wakes_at_once(pipewire, tmp_path):
     with running(pipewire, engine="native") as daemon:
         daemon.wait_state(DaemonState.IDLE)
-        used = cpu_percent(daemon.process.pid, engine_process(daemon), seconds=10.0)
+        used = cpu_percent(daemon.process.pid, daemon.engine_process(), seconds=10.0)
         assert used[0] <= 0.5  # it answers to changes of the server once a second
         assert used[1] <= 0.1
         with (
             recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
             playing(pipewire, "desktop", tone(60.0, 10.0)),
         ):
-            since_s = time.monotonic()
-            back_within(felt, since_s, "idling")
+            back_within(felt, time.monotonic(), "idling")
             daemon.wait_state(DaemonState.RUNNING)
 
 
 @pytest.mark.parametrize("fault", [signal.SIGKILL, signal.SIGSTOP, signal.SIGSEGV])
 def test_a_child_that_dies_or_hangs_is_started_again(pipewire, fault, tmp_path):
     with vibrating(pipewire, tmp_path, tone(60.0, 60.0), engine="native") as (daemon, felt):
-        child = engine_process(daemon)
-        since_s = time.monotonic()
+        child, since_s = daemon.engine_process(), time.monotonic()
         os.kill(child, fault)
         daemon.wait(lambda status: status.engine_pid not in (0, child), "another child")
         back_within(felt, since_s, f"{fault.name} of the child")
@@ -260,7 +228,7 @@ def test_a_killed_daemon_takes_its_child_along_and_the_next_one_plays(pipewire, 
     ):
         with running(pipewire, engine="native") as daemon:
             wait_for(lambda: felt_now(felt), "vibration")
-            child = engine_process(daemon)
+            child = daemon.engine_process()
             daemon.process.kill()
             if both:
                 os.kill(child, signal.SIGKILL)
@@ -271,8 +239,14 @@ def test_a_killed_daemon_takes_its_child_along_and_the_next_one_plays(pipewire, 
         assert not list((pipewire.folder / "cushion").glob("haptic-cushion-*"))
 
 
-def test_a_server_that_was_stopped_for_seconds_is_felt_again_at_once(pipewire, tmp_path):
+def test_a_stopped_server_is_felt_again_at_once_and_a_stopped_daemon_all_along(pipewire, tmp_path):
     with vibrating(pipewire, tmp_path, tone(60.0, 60.0), engine="native") as (daemon, felt):
+        daemon.process.send_signal(signal.SIGSTOP)
+        more(felt, 2.0)
+        assert felt_now(felt)
+        daemon.process.send_signal(signal.SIGCONT)
+        daemon.wait_state(DaemonState.RUNNING)
+        assert felt_now(felt)
         pipewire.pause()
         wait_seconds(2.0)
         frames = len(felt())
@@ -281,16 +255,6 @@ def test_a_server_that_was_stopped_for_seconds_is_felt_again_at_once(pipewire, t
         wait_for(lambda: len(felt()) > frames, "frames")
         back_within(felt, since_s, "the server went on")
         daemon.wait_state(DaemonState.RUNNING)
-
-
-def test_a_stopped_daemon_does_not_stop_the_vibration(pipewire, tmp_path):
-    with vibrating(pipewire, tmp_path, tone(60.0, 60.0), engine="native") as (daemon, felt):
-        daemon.process.send_signal(signal.SIGSTOP)
-        more(felt, 2.0)
-        assert felt_now(felt)
-        daemon.process.send_signal(signal.SIGCONT)
-        daemon.wait_state(DaemonState.RUNNING)
-        assert felt_now(felt)
 
 
 @pytest.mark.parametrize("sink", ["haptic", "desktop"])
@@ -308,10 +272,7 @@ def test_a_suspended_sink_is_felt_again_when_it_is_resumed(pipewire, sink, tmp_p
 
 
 def test_a_device_of_another_server_is_left_to_the_python_engine(pipewire):
-    with (
-        tempfile.TemporaryDirectory(prefix="cushion-") as folder,
-        SoundServer("pipewire", Path(folder)) as other,
-    ):
+    with own_server() as other:
         other.add_sink("elsewhere")
         graph_of_this_one = {
             "PULSE_SERVER": other.address,

@@ -17,6 +17,7 @@ from tests.servers.daemons import (
     longest_silence,
     pitch_hz,
     running,
+    stream_named,
     tone,
 )
 from tests.servers.listening import RATE_HZ, level_db, more, playing, recording, wait_for
@@ -33,7 +34,6 @@ HEARD_HZ, OTHER_HZ = 110.0, 900.0  # two tones that vibrate at frequencies of th
 
 @contextmanager
 def native(server, folder, *arguments, **options):
-    """The native engine, and a recording of its vibration."""
     with (
         running(server, *arguments, engine="native", ready=False, **options) as daemon,
         recording(server, "haptic.monitor", folder / "felt", stays=True) as felt,
@@ -51,19 +51,7 @@ def felt_back(felt, what, hz=HEARD_HZ):
     wait_for(is_back, f"vibration after {what}", BACK_S + 0.25)
 
 
-def stream_named(server: SoundServer, name: str) -> str:
-    """The index of the newest stream of an application."""
-
-    def found() -> str:
-        listed = server.pactl("list", "sink-inputs").split("Sink Input #")[1:]
-        mine = [part.split()[0] for part in listed if f'application.name = "{name}"' in part]
-        return mine[-1] if mine else ""
-
-    return wait_for(found, f"a stream of {name}")
-
-
 def links_from(server: SoundServer, player: str) -> set[str]:
-    """The sinks that a program plays to."""
     found, source = set(), ""
     for line in links_of(server).splitlines():
         node, _, port = line.partition("|-> ")[2].partition(":")
@@ -76,20 +64,15 @@ def links_from(server: SoundServer, player: str) -> set[str]:
 
 def move(server: SoundServer, stream: str, sink: str) -> None:
     """Move the stream `mover`; WirePlumber 0.4 leaves out a wish now and then."""
+    other = next(name for name in server.names("sinks") if name != sink)
 
     def is_there() -> bool:
-        if links_from(server, "mover") == {sink}:
-            return True
-        other = next(name for name in server.names("sinks") if name != sink)
-        server.pactl("move-sink-input", stream, other)
         server.pactl("move-sink-input", stream, sink)
         with suppress(AssertionError):
-            wait_for(lambda: links_from(server, "mover") == {sink}, "the move", 1.0)
-        return links_from(server, "mover") == {sink}
+            return wait_for(lambda: links_from(server, "mover") == {sink}, "the move", 1.0)
+        server.pactl("move-sink-input", stream, other)
+        return False
 
-    server.pactl("move-sink-input", stream, sink)
-    with suppress(AssertionError):
-        wait_for(lambda: links_from(server, "mover") == {sink}, "the move", 1.0)
     wait_for(is_there, f"the stream at {sink}")
 
 

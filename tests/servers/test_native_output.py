@@ -1,7 +1,6 @@
 """The native engine on PipeWire: the bytes of ctypes, how late bursts are felt, and its memory."""
 
 import ctypes
-import signal
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -17,7 +16,7 @@ from audioflinger_hook.core.compiled_core import Core
 from audioflinger_hook.core.structures import Controls
 from audioflinger_hook.daemon.native.layout import Layout
 from device.units import Float32Array
-from tests.servers.daemons import Daemon, cushion, felt_now, running
+from tests.servers.daemons import Daemon, configured, cushion, felt_now, running
 from tests.servers.listening import RATE_HZ, noise, playing, recording, wait_for, wait_seconds
 from tests.servers.witness import Verdict, tears, witness_tone
 from tools.beginnings import lost_cycles
@@ -25,7 +24,6 @@ from tools.burst_latency import measured_here
 from tools.live_latency.bursts import burst_delays
 from tools.live_latency.refusing import refusing_pw_cli
 from tools.live_latency.usage import held_by_family
-from tools.sound_server import SoundServer
 from tools.usage import CARE
 
 pytestmark = [pytest.mark.servers, pytest.mark.calm]
@@ -115,8 +113,7 @@ def test_the_node_gives_the_bytes_of_ctypes(pipewire, tmp_path, config, quantum,
     pipewire.choose_default("played")
     pipewire.set_clock("force-rate", rate_hz)
     pipewire.set_clock("force-quantum", quantum)
-    path = tmp_path / "config.toml"
-    path.write_text(config)
+    _, named = configured(tmp_path, config)
     sound, frames = loud(rate_hz), round(COMPARED_S * rate_hz)
 
     # at this quantum a new stream's links may miss its first cycles
@@ -124,19 +121,18 @@ def test_the_node_gives_the_bytes_of_ctypes(pipewire, tmp_path, config, quantum,
 
     def attempt() -> bool:
         with (
-            running(pipewire, "--config", str(path), device="felt", engine="native") as daemon,
+            running(pipewire, *named, device="felt", engine="native") as daemon,
             recording(pipewire, "felt.monitor", tmp_path / "heard", rate_hz=rate_hz) as felt,
             playing(pipewire, "played", after_silence, rate_hz=rate_hz),
         ):
             wait_for(lambda: felt().any(), "vibration", 20.0)
             wait_for(lambda: len(sounding(felt())) > frames, "the end", 20.0)
-            graph = daemon.wait(lambda status: status.graph, "the graph").graph
+            graph: Any = daemon.wait(lambda status: status.graph, "the graph").graph
             design, page = (
                 next((pipewire.folder / "cushion").glob(f"haptic-cushion-*.{end}")).read_bytes()
                 for end in ("design", "page")
             )
             got = sounding(felt())[:frames]
-        assert graph
         assert (graph.cycle_frames, graph.samplerate) == (quantum, rate_hz)
         return is_played(design, page, sounding(sound), got)
 
@@ -153,10 +149,7 @@ WINDOW_FRAMES = RATE_HZ // 20
 
 
 def with_care(folder: Path, rig: str = "paper") -> tuple[str, str]:
-    """The arguments for a config with all that is done for a rig."""
-    path = folder / "care.toml"
-    path.write_text(f'{CARE}rig = "{rig}"\n')
-    return "--config", str(path)
+    return configured(folder, f'{CARE}rig = "{rig}"\n')[1]
 
 
 def test_with_all_care_for_the_rig_bursts_are_felt_4_ms_later(timed_pipewire, tmp_path):
@@ -174,7 +167,6 @@ def test_with_all_care_for_the_rig_bursts_are_felt_4_ms_later(timed_pipewire, tm
 
 
 def levels_db(vibration: Float32Array) -> Float32Array:
-    """The level of each window of 50 ms, in dBFS."""
     whole = vibration[: len(vibration) // WINDOW_FRAMES * WINDOW_FRAMES]
     power = np.mean(whole.reshape(-1, WINDOW_FRAMES).astype(np.float64) ** 2, axis=1)
     return np.asarray(10.0 * np.log10(np.maximum(power, 1e-12)), np.float32)
@@ -190,9 +182,7 @@ def bursts() -> Float32Array:
     return sound
 
 
-def felt_bursts(
-    server: SoundServer, care: tuple[str, ...], folder: Path
-) -> tuple[Float32Array, bool]:
+def felt_bursts(server, care, folder) -> tuple[Float32Array, bool]:
     """The vibration of `bursts`, and whether another server lost a cycle meanwhile."""
     with (
         witness_tone(folder) as witness,
@@ -213,7 +203,7 @@ def test_the_level_is_that_of_render_with_the_same_config(timed_pipewire, tmp_pa
     files = str(tmp_path / "sound.wav"), str(tmp_path / "vibration.wav")
     soundfile.write(files[0], bursts(), RATE_HZ, subtype="FLOAT")
     done = cushion(timed_pipewire, "render", *files, "--profile", LIVE_DEFAULT, *care)
-    assert done.returncode == 0
+    assert done.code == 0
     wanted, _ = soundfile.read(files[1], dtype="float32", always_2d=True)
     # Damping begins with the first sample that is not 0, in both.
     reference = wanted[np.flatnonzero(wanted[:, 0])[0] :, 0]
@@ -269,8 +259,7 @@ PLAYED_S = 5.0  # it does not grow after that: tools/usage.py prints the same af
 def change(daemon: Daemon, config: Path, lines: str) -> None:
     """Let it read other settings, and wait until they play."""
     before = daemon.wait_ready().engine_pid
-    config.write_text(CARE + lines)
-    daemon.process.send_signal(signal.SIGHUP)
+    daemon.reload(config, CARE + lines)
     wait_seconds(1.0)  # the change takes 0.3 s
     assert daemon.wait_ready().engine_pid == before
 
@@ -286,11 +275,10 @@ def check_memory(daemon: Daemon) -> None:
 
 
 def test_daemon_and_native_engine_hold_70_mb_at_most(pipewire, tmp_path):
-    config = tmp_path / "care.toml"
-    config.write_text(CARE)
+    config, named = configured(tmp_path, CARE)
     with (
         playing(pipewire, "desktop", noise(60.0)),
-        running(pipewire, "--config", str(config), engine="native") as daemon,
+        running(pipewire, *named, engine="native") as daemon,
     ):
         check_memory(daemon)
         for lines in ('profile = "game"\n', 'rig = "consumer"\n', 'profile = "music"\n'):

@@ -54,7 +54,6 @@ def slow(timed_pipewire):
 
 
 def version_of(server: SoundServer) -> tuple[int, int]:
-    """The version of PipeWire."""
     major, minor = GraphOnce(server.environment).read().version.split(".")[:2]
     return int(major), int(minor)
 
@@ -87,9 +86,7 @@ def test_the_vibration_is_felt_with_the_sound_behind_a_delay_of_200_ms(pipewire)
 
 
 @pytest.mark.parametrize("by", ["ProcessLatency", "Props"])
-def test_another_declared_delay_is_followed_while_it_plays_without_a_click(
-    timed_pipewire, slow, by, tmp_path
-):
+def test_another_declared_delay_is_followed_without_a_click(timed_pipewire, slow, by, tmp_path):
     clicks_db = []
     with (
         playing(timed_pipewire, SLOW, tone(110.0, 90.0)),
@@ -164,9 +161,7 @@ def test_a_stored_delay_is_used_at_the_next_start_for_its_two_sinks_only(pipewir
     assert (status.offset_ms, status.offset_reason) == (30.0, SET)
 
 
-def both_felt(
-    server: SoundServer, into: str, count: int, after_s: float, behind: str = BEHIND
-) -> list[float]:
+def both_felt(server, into, count, after_s, behind=BEHIND):
     """The lags of `count` bursts that are played into a sink and heard behind another one."""
     with (
         arriving(server, f"{behind}.monitor") as heard,

@@ -22,13 +22,11 @@ RATE_HZ = 48_000
 
 
 def needs(*programs: str) -> None:
-    """Skip without these programs; with CI=true, fail."""
     need([program for program in programs if shutil.which(program) is None])
 
 
 @pytest.fixture
 def home(tmp_path, monkeypatch):
-    """A home folder in which the plugin is installed."""
     for name in ("XDG_DATA_HOME", "XDG_CONFIG_HOME", "LADSPA_PATH"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", str(tmp_path))

@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import signal
 import time
 from contextlib import contextmanager
 
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 import soundfile
 
-from tests.servers.daemons import cushion, felt_now, program, running, tone
+from tests.servers.daemons import configured, cushion, felt_now, program, running, tone
 from tests.servers.listening import RATE_HZ, more, playing, recording, wait_for
 
 pytestmark = [pytest.mark.servers]
@@ -23,10 +22,9 @@ SOON_S = 0.5  # a rule acts within this time
 
 @contextmanager
 def daemon_with(server, folder, text, engine="native", **options):
-    config = folder / "config.toml"
-    config.write_text(text)
+    _, named = configured(folder, text)
     with (
-        running(server, "--config", str(config), engine=engine, **options) as daemon,
+        running(server, *named, engine=engine, **options) as daemon,
         recording(server, "haptic.monitor", folder / "felt") as felt,
     ):
         yield daemon, felt
@@ -54,9 +52,7 @@ def test_a_call_or_alert_is_never_felt_while_music_is(pipewire, role, why, tmp_p
 
 @pytest.mark.parametrize("engine", ["python", "native"])
 @pytest.mark.parametrize("name", [b"Caf\xe9", b"\xff\xfe"], ids=ascii)
-def test_an_application_whose_name_is_not_utf_8_is_felt_and_named_in_rules(
-    pipewire, engine, name, tmp_path
-):
+def test_an_application_whose_name_is_not_utf_8_is_felt_and_ruled(pipewire, engine, name, tmp_path):
     path, wav = os.fsencode(tmp_path / "") + b"/" + name, tmp_path / "wav"
     shown = name.decode("utf-8", "replace")
     shutil.copy(str(shutil.which("pw-cat")), path)  # PipeWire names a stream after its program
@@ -68,11 +64,10 @@ def test_an_application_whose_name_is_not_utf_8_is_felt_and_named_in_rules(
     ):
         daemon.wait(lambda status: application(status, shown), "the application")
         wait_for(lambda: felt_now(felt), "its vibration")
-        assert cushion(pipewire, "devices").returncode == 0
+        assert cushion(pipewire, "devices").code == 0
         with playing(pipewire, "desktop", tone(220.0, 20.0), name="Plain"):
             daemon.wait(lambda status: application(status, "Plain"), "another application")
-        (tmp_path / "config.toml").write_text(RULE.format(shown))
-        daemon.process.send_signal(signal.SIGHUP)
+        daemon.reload(tmp_path / "config.toml", RULE.format(shown))
         ruled = "left out in the config"
         daemon.wait(lambda status: application(status, shown).rule == ruled, "the rule")
 
@@ -88,22 +83,14 @@ def test_a_browsers_call_is_left_out_while_its_film_is_felt(server, recorder, tm
     film, call, voice = ({**process, "media.name": title} for title in titles[recorder])
     voice["application.name"] = "Chromium input" if recorder == "Chromium" else recorder
     is_pipewire = server.kind == "pipewire"
-    text, engine = (
-        ("", "native") if is_pipewire else ('[applications]\ninclude = ["*"]\n', "python")
-    )
+    text = "" if is_pipewire else '[applications]\ninclude = ["*"]\n'
+    engine = "native" if is_pipewire else "python"
     server.add_microphone("microphone")
+    plain = {"name": recorder, "role": ""}
     with (
         recording(server, "microphone", tmp_path / "voice", properties=voice),
         daemon_with(server, tmp_path, text, engine=engine, ready=is_pipewire) as (daemon, felt),
-        playing(
-            server,
-            "desktop",
-            tone(110.0, 60.0),
-            name=recorder,
-            role="",
-            latency_ms=15,
-            properties=call,
-        ),
+        playing(server, "desktop", tone(110.0, 60.0), latency_ms=15, properties=call, **plain),
     ):
         status = daemon.wait(lambda status: application(status, recorder), "the call")
         shown = application(status, recorder)
@@ -111,7 +98,7 @@ def test_a_browsers_call_is_left_out_while_its_film_is_felt(server, recorder, tm
         assert shown.rule.startswith("call")
         more(felt, 1.0)
         assert not np.any(np.abs(felt()) > 1e-4)
-        with playing(server, "desktop", tone(110.0, 60.0), name=recorder, role="", properties=film):
+        with playing(server, "desktop", tone(110.0, 60.0), properties=film, **plain):
             if not is_pipewire and recorder == "Chromium":
                 more(felt, 1.0)
                 assert not np.any(np.abs(felt()) > 1e-4)
@@ -136,7 +123,7 @@ def test_a_game_over_music_brings_its_profile_within_half_a_second_and_back(pipe
         playing(pipewire, "desktop", tone(110.0, 60.0), name="Music"),
     ):
         wait_for(lambda: felt_now(felt), "vibration")
-        process = daemon.wait(lambda status: status.engine_pid, "the engine").engine_pid
+        process = daemon.engine_process()
         assert daemon.status().profile == "cinema"
         more(felt, 3.0)  # a player is opened a while before the game
         began_s = time.monotonic()

@@ -28,6 +28,7 @@ from tests.servers.bare_streams import bare_streams
 from tests.servers.listening import RATE_HZ, more, playing, recording, wait_for, wait_seconds
 from tests.servers.test_run_reload import connections, reload
 from tests.servers.witness import Verdict, tears, witness_tone
+from tests.support.commands import refused
 from tests.support.parameters import TWO_SHAKERS
 from tools.live_latency.pauses import PauseWitness
 from tools.sound_server import SoundServer
@@ -36,20 +37,13 @@ pytestmark = pytest.mark.calm
 
 SCENE_S = 8.0
 
-PLAYING_PERCENT, IDLE_PERCENT = 8.0, 0.5
-"""What the whole daemon may use of one core, sound playing or not."""
-
-TIMES_BARE = 3.8
-"""The same as a multiple of what two streams cost that do nothing, at the same time: 2.4 to 3.2 on
-the machines that were measured."""
-
-WINDOWS = 5
-"""Other programs make caches cold and processor time long: the best of some windows counts."""
+PLAYING_PERCENT, IDLE_PERCENT = 8.0, 0.5  # of one core, for the whole daemon
+TIMES_BARE = 3.8  # of what two streams cost that do nothing, at the same time: 2.4 to 3.2 measured
+WINDOWS = 5  # the best counts: other programs make caches cold and processor time long
 
 
 @pytest.fixture(scope="session")
 def scene(tmp_path_factory):
-    """Eight seconds of sound, and the vibration that a file of it gives."""
     folder = tmp_path_factory.mktemp("scene")
     source, target = folder / "sound.wav", folder / "vibration.wav"
     sound = mixdown(demo_scene())[: int(SCENE_S * RATE_HZ)].astype(np.float32)
@@ -119,24 +113,18 @@ def test_there_is_one_daemon_and_when_it_is_ended_nothing_of_it_is_left(server):
     with daemons.running(server) as daemon:
         assert "cushion.stream" in server.pactl("list", "sink-inputs")
         second = daemons.cushion(server, "run", "--device", "haptic", "--seconds", "1")
-        assert second.returncode == 2
-        assert str(daemon.process.pid) in second.stderr
-        assert len(second.stderr.strip().splitlines()) == 1
-        code = daemon.end()
-    assert code == 130
+        assert str(daemon.process.pid) in refused(second)
+        assert daemon.end() == 130
     assert "Traceback" not in daemon.stderr
     assert [path.name for path in (server.folder / "cushion").glob("*.sock*")] == []
     assert daemons.modules_of(server) == before
     assert server.pactl("list", "short", "sink-inputs") == ""
     assert server.pactl("list", "short", "source-outputs") == ""
-    assert daemons.cushion(server, "status").returncode == 3
+    assert daemons.cushion(server, "status").code == 3
 
 
-BACK_S = {"python": 2.0, "native": 1.0}
-"""Within this it plays again once a fault is over, with each engine."""
-
-RECORDERS = 5.0
-"""On a busy machine it may take as many times as long as a recorder, which takes 0.1 s else."""
+BACK_S = {"python": 2.0, "native": 1.0}  # until it plays again once a fault is over
+RECORDERS = 5.0  # times as long as a recorder, which takes 0.1 s, on a busy machine
 
 
 def test_the_device_vanishes_and_nobody_else_plays_its_vibration(server, engine, tmp_path):
@@ -189,9 +177,7 @@ def test_the_server_is_killed_and_comes_back(server, engine, tmp_path):
 def test_without_a_server_it_says_so_or_waits_for_one(server):
     server.kill()
     alone = daemons.cushion(server, "run", "--device", "haptic")
-    assert alone.returncode == 4
-    assert len(alone.stderr.strip().splitlines()) == 1
-    assert alone.stderr.startswith("cushion: error: no sound server answers")
+    assert refused(alone, 4).startswith("cushion: error: no sound server answers")
     with daemons.running(server, "--wait", ready=False) as daemon:
         daemon.wait_state(DaemonState.WAITING_FOR_SERVER)
         server.start()
@@ -351,17 +337,14 @@ TONE_HZ = 110.0
 
 
 def test_two_actuators_are_felt_where_they_are_wired_and_as_strong_as_asked(server, tmp_path):
-    path = tmp_path / "c.toml"
-    path.write_text(TWO_SHAKERS.replace("[1]", "[2]"))
-    done = daemons.cushion(server, "run", "--device", "haptic", "--config", str(path))
-    assert done.returncode == 3
-    (line,) = done.stderr.splitlines()
+    path, named = daemons.configured(tmp_path, TWO_SHAKERS.replace("[1]", "[2]"))
+    line = refused(daemons.cushion(server, "run", "--device", "haptic", *named), 3)
     assert "actuator 2 wants channel 2, but the sink 'haptic' has no such channel" in line
 
     path.write_text(TWO_SHAKERS + 'polarity = "inverted"\ngain_db = -6.0206\n')
     with (
         playing(server, "desktop", daemons.tone(TONE_HZ, 60.0)) as player,
-        daemons.running(server, "--config", str(path)) as daemon,
+        daemons.running(server, *named) as daemon,
         recording(server, "haptic.monitor", tmp_path / "felt") as felt,
     ):
 

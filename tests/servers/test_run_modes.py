@@ -19,11 +19,13 @@ from tests.pipeline.test_framework_effects import OTHER, OTHERS, OURS, effects_x
 from tests.servers import listening
 from tests.servers.daemons import (
     ROOT,
+    configured,
     cushion,
     felt_hz,
     felt_now,
     pitch_hz,
     running,
+    stream_named,
     tone,
     vibrating,
 )
@@ -41,11 +43,6 @@ def feeling(server: SoundServer, path: Path) -> Iterator[Callable[[float], bool]
         yield lambda hz: abs(pitch_hz(felt()[-listening.RATE_HZ // 5 :]) - hz) < NEAR_HZ
 
 
-def config(path: Path, text: str) -> str:
-    path.write_text(text)
-    return str(path)
-
-
 def test_of_two_applications_the_one_that_was_asked_for_is_felt(server, engine, tmp_path):
     with (
         listening.playing(server, "desktop", tone(GAME_HZ, 60.0), name="Game"),
@@ -59,10 +56,10 @@ def test_of_two_applications_the_one_that_was_asked_for_is_felt(server, engine, 
 
 
 def test_what_is_excluded_is_not_felt_and_who_comes_later_is(server, tmp_path):
-    rules = config(tmp_path / "c.toml", '[applications]\nexclude = ["application:Music"]\n')
+    _, named = configured(tmp_path, '[applications]\nexclude = ["application:Music"]\n')
     with (
         listening.playing(server, "desktop", tone(MUSIC_HZ, 60.0), name="Music"),
-        running(server, "--config", rules, ready=False) as daemon,
+        running(server, *named, ready=False) as daemon,
         listening.recording(server, "haptic.monitor", tmp_path / "before") as felt,
         feeling(server, tmp_path / "felt") as feels,
     ):
@@ -252,16 +249,15 @@ def test_an_effect_that_fails_or_waits_is_named_on_the_terminal_and_vibration_go
     site("other_package", OTHER.replace("MISBEHAVE", misbehave), entry("other_package:LIBRARY"))
     applied = effects_xml("cushion", "other", effects=[OURS, OTHERS], applied=["other", "ours"])
     (tmp_path / "audio_effects.xml").write_text(applied)
-    config = tmp_path / "config.toml"
-    config.write_text('effects_file = "audio_effects.xml"\n')
+    _, named = configured(tmp_path, 'effects_file = "audio_effects.xml"\n')
     path = {"PYTHONPATH": os.pathsep.join((str(tmp_path), str(ROOT)))}
     with (
         listening.playing(server, "desktop", tone(300.0, 60.0)),
-        running(server, "--config", str(config), ready=False, variables=path) as daemon,
+        running(server, *named, ready=False, variables=path) as daemon,
         listening.recording(server, "haptic.monitor", tmp_path / "felt") as felt,
     ):
-        named = f"effect bypassed: session 0, Other: {reason}"
-        listening.wait_for(lambda: named in daemon.stderr, named, 15.0)
+        told = f"effect bypassed: session 0, Other: {reason}"
+        listening.wait_for(lambda: told in daemon.stderr, told, 15.0)
         listening.wait_for(lambda: felt_now(felt), "vibration", 15.0)
         daemon.wait_ready()
 
@@ -273,9 +269,7 @@ TAP_DB = 8.0
 is felt as a tap of up to 0.1 s: by the 6.5 dB of a rise at most, and its own 1.3 dB."""
 
 SETTLES_S = 4.5  # until a louder moment of 20 dB is forgotten
-AS_THE_PROGRAMME = 0.06
-"""A tone of 110 Hz as loud as the programme is at first: felt as strongly from then on."""
-
+AS_THE_PROGRAMME = 0.06  # a tone of 110 Hz as loud as the programme at first
 WINDOW_S = 0.6
 PART_FRAMES = 2_400
 """The median of parts is the level: a gap of a busy machine is none of the volume's."""
@@ -292,11 +286,6 @@ def parts_of(frames: Float32Array) -> list[Float32Array]:
     return np.array_split(frames, len(frames) // PART_FRAMES)
 
 
-def player_of(server: SoundServer) -> str:
-    lines = server.pactl("list", "sink-inputs").split("Sink Input #")
-    return next(one.split()[0] for one in lines if 'media.role = "music"' in one)
-
-
 def test_a_volume_of_stream_or_sink_is_not_felt(server, tmp_path, engine):
     with (
         running(server, "--profile", "cinema", engine=engine) as daemon,
@@ -305,7 +294,7 @@ def test_a_volume_of_stream_or_sink_is_not_felt(server, tmp_path, engine):
     ):
         before_db = felt_db(felt, 3.0)
         assert before_db > -40.0
-        player = player_of(server)
+        player = stream_named(server, "Player")
         # a factor: pactl 17 sets a stream to 0 for a volume in dB
         server.pactl("set-sink-input-volume", player, "0.1")
         stream_db = felt_db(felt, SETTLES_S)
@@ -339,7 +328,7 @@ def test_the_paper_s_profile_feels_the_volume_as_it_is_heard(server, tmp_path):
         listening.recording(server, "haptic.monitor", tmp_path / "felt", stays=True) as felt,
     ):
         before_db = felt_db(felt, 2.0)
-        server.pactl("set-sink-input-volume", player_of(server), "0.1")
+        server.pactl("set-sink-input-volume", stream_named(server, "Player"), "0.1")
         assert felt_db(felt, 0.4) == pytest.approx(before_db - 20.0, abs=0.5)
         status: Any = daemon.status()
     assert status.volume_db == 0.0

@@ -29,7 +29,7 @@ from tests.servers.listening import (
     wait_for,
     wait_seconds,
 )
-from tests.support.commands import vibration
+from tests.support.commands import refused, vibration
 from tools.sound_server import MONO, SoundServer
 
 
@@ -41,8 +41,8 @@ def server(request, monkeypatch):
 
 def replayed(server: SoundServer, folder: Path, out: Path) -> tuple[int, str]:
     """Replay; every frame of the recorded effect has to come again. How many, and warnings."""
-    done = daemons.cushion(server, "replay", str(folder), str(out), "--json")
-    assert done.returncode == 0, done.stderr
+    done = daemons.cushion(server, "replay", folder, out, "--json")
+    assert done.code == 0, done.stderr
     return overlap(folder, out, done.stdout), done.stderr
 
 
@@ -52,7 +52,6 @@ def breaks(folder: Path, stream: str) -> int:
 
 @contextmanager
 def polled(daemon: daemons.Daemon) -> Iterator[None]:
-    """The daemon's status is asked for, again and again."""
     ending = threading.Event()
 
     def poll() -> None:
@@ -69,12 +68,11 @@ def polled(daemon: daemons.Daemon) -> Iterator[None]:
 
 
 def test_a_replay_gives_what_was_felt_through_a_switch_a_pause_and_idling(server, tmp_path):
-    record, config = tmp_path / "rec", tmp_path / "c.toml"
-    config.write_text('[transform]\nchannels = "each"\nwindow_s = 0.06\npartials_max = 5\n')
+    form = '[transform]\nchannels = "each"\nwindow_s = 0.06\npartials_max = 5\n'
+    record, (_, named) = tmp_path / "rec", daemons.configured(tmp_path, form)
     server.add_sink("speakers")
-    options = ["--record", str(record), "--config", str(config)]
     with (
-        daemons.running(server, *options) as daemon,
+        daemons.running(server, "--record", str(record), *named) as daemon,
         recording(server, "haptic.monitor", tmp_path / "felt") as felt,
         polled(daemon),
     ):
@@ -196,14 +194,12 @@ def test_the_device_stream_is_what_reached_the_device(server, tmp_path):
 
 
 def test_a_folder_for_a_recording_is_not_made_where_the_device_is_missing(server, tmp_path):
-    done = daemons.cushion(server, "run", "--device", "nobody", "--record", str(tmp_path / "new"))
-    assert done.returncode == 3
+    refused(daemons.cushion(server, "run", "--device", "nobody", "--record", tmp_path / "new"), 3)
     assert not (tmp_path / "new").exists()
 
 
 @contextmanager
 def capturing(server, folder, *arguments):
-    """`cushion capture`, once it listens."""
     command = (*daemons.CUSHION, "capture", str(folder), *arguments)
     with daemons.program(daemons.environment(server), *command, stderr=subprocess.PIPE) as process:
         wait_for(lambda: (folder / "tap-0001.wav").exists(), "buffers")
@@ -260,15 +256,13 @@ def test_a_capture_follows_the_default_sink_and_never_a_microphone(server, tmp_p
     capture = Capture(folder)
     assert sum(1 for _ in capture.buffers("tap")) > 10
     assert capture.warnings == []  # it was finished
-    done = daemons.cushion(server, "replay", str(folder), str(tmp_path / "out.wav"), "--json")
-    assert done.returncode == 0
+    done = daemons.cushion(server, "replay", folder, tmp_path / "out.wav", "--json")
+    assert done.code == 0
     assert json.loads(done.stdout)["discontinuities"] >= 1
 
 
 def test_a_tap_that_is_not_there_and_one_that_is_lost_for_good_end_a_capture(server, tmp_path):
-    done = daemons.cushion(server, "capture", str(tmp_path / "none"), "--tap", "sink:nobody")
-    assert done.returncode == 3
-    assert len(done.stderr.splitlines()) == 1
+    refused(daemons.cushion(server, "capture", tmp_path / "none", "--tap", "sink:nobody"), 3)
     with capturing(server, tmp_path / "cap") as process:
         server.kill()
         _, stderr = process.communicate(timeout=40.0)
@@ -278,8 +272,7 @@ def test_a_tap_that_is_not_there_and_one_that_is_lost_for_good_end_a_capture(ser
     capture = Capture(tmp_path / "cap")
     assert sum(1 for _ in capture.buffers("tap")) > 0
     assert capture.warnings == []
-    done = daemons.cushion(server, "capture", str(tmp_path / "none"))
-    assert done.returncode == 4
+    refused(daemons.cushion(server, "capture", tmp_path / "none"), 4)
     assert not (tmp_path / "none").exists()
 
 
@@ -299,17 +292,16 @@ def test_a_capture_goes_on_when_the_server_is_back(server, tmp_path):
 def test_a_file_is_felt_on_the_device_and_ends_the_run(server, tmp_path):
     record = tmp_path / "rec"
     with recording(server, "haptic.monitor", tmp_path / "felt") as felt:
-        options = ["--tap", "scene:demo", "--record", str(record), "--seconds", "8"]
+        options = ["--tap", "scene:demo", "--record", record, "--seconds", "8"]
         done = daemons.cushion(server, "run", "--device", "haptic", *options)
-        assert (done.returncode, done.stdout) == (0, "")
+        assert (done.code, done.stdout) == (0, "")
         assert float(np.abs(felt()).max()) > 0.02
     assert replayed(server, record, tmp_path / "out.wav")[0] > 4 * RATE_HZ
 
 
 def test_what_plays_goes_into_a_file_even_while_the_server_is_away(server, tmp_path):
     out, record = tmp_path / "out.wav", tmp_path / "rec"
-    options = ["--record", str(record)]
-    with daemons.running(server, *options, device=f"wav:{out}") as daemon:
+    with daemons.running(server, "--record", str(record), device=f"wav:{out}") as daemon:
         with playing(server, "desktop", noise(30.0)):
             wait_for(lambda: np.abs(recorded(record, "device")).max() > 0.01, "vibration", 20.0)
         server.kill()

@@ -29,8 +29,6 @@ TONE_HZ = 110.0
 
 @pytest.fixture
 def config(tmp_path):
-    """Writes the config that the daemon reads, and returns its path."""
-
     def write(*lines):
         path, new = tmp_path / "config.toml", tmp_path / "config.new"
         new.write_text("\n".join(('device = "haptic"', *lines, "")))
@@ -41,8 +39,6 @@ def config(tmp_path):
 
 @pytest.fixture
 def plays(server, config, tmp_path):
-    """Plays a tone to the daemon with this config; gives the daemon and what is felt."""
-
     def begin(*lines, hz=TONE_HZ, **options):
         named = ("--config", str(config(*lines)))
         return daemons.vibrating(
@@ -84,18 +80,15 @@ def test_another_level_or_offset_is_felt_soon_and_gapless(plays, config, key, va
             more(felt, 0.6)
             change = felt()[began:]
             wanted_db = was_db + (-step_db if turn % 2 else step_db)
-            starts = range(0, len(change) - RATE_HZ // 20, RATE_HZ // 100)
-            there = [
-                abs(level_db(change[start : start + RATE_HZ // 20]) - wanted_db) < 3.0
-                for start in starts
-            ]
+            windows = np.lib.stride_tricks.sliding_window_view(change, RATE_HZ // 20, axis=0)
+            there = [abs(level_db(one) - wanted_db) < 3.0 for one in windows[:: RATE_HZ // 100]]
             if there[-1] and daemons.longest_silence(change) <= max(steady, 2):
                 took.append(0.01 * (len(there) - [*reversed(there), False].index(False)))
     assert len(took) == WANTED
     assert sorted(took)[(len(took) - 1) // 2] < 0.3
 
 
-def test_another_parameter_takes_effect_while_the_streams_stay(server, plays, config):
+def test_another_parameter_acts_while_the_streams_stay_and_another_form_too(server, plays, config):
     with plays(hz=400.0) as (daemon, felt):
         before = daemons.pitch_hz(more(felt, 0.5))
         streams = connections(server, "sink-inputs")
@@ -105,6 +98,11 @@ def test_another_parameter_takes_effect_while_the_streams_stay(server, plays, co
             lambda: 1.0 < daemons.pitch_hz(felt()[-RATE_HZ // 4 :]) < before - 10.0, "a fall", 3.0
         )
         assert connections(server, "sink-inputs") == streams
+        config("[transform]", 'channels = "each"')
+        assert "the effects" in reload(daemon)
+        wait_for(lambda: not daemons.felt_now(felt), "an end")
+        wait_for(lambda: daemons.felt_now(felt), "vibration again", 15.0)
+        assert daemon.wait_state(DaemonState.RUNNING).warnings == ()
 
 
 def volume_of(server: SoundServer, sink: str) -> tuple[float, bool]:
@@ -284,15 +282,6 @@ def test_blocks_of_other_lengths_carry_the_vibration(plays, config, frames):
     assert "Traceback" not in daemon.stderr
 
 
-def test_the_form_of_the_transform_can_be_changed_too(plays, config):
-    with plays() as (daemon, felt):
-        config("[transform]", 'channels = "each"')
-        assert "the effects" in reload(daemon)
-        wait_for(lambda: not daemons.felt_now(felt), "an end")
-        wait_for(lambda: daemons.felt_now(felt), "vibration again", 15.0)
-        assert daemon.wait_state(DaemonState.RUNNING).warnings == ()
-
-
 def test_fifty_signals_in_a_row_do_no_harm(server, plays, config):
     with plays("gain_db = 0") as (daemon, felt):
         loud = level_db(more(felt, 0.5))
@@ -357,12 +346,8 @@ def schedulers(daemon: daemons.Daemon) -> list[int]:
     return found
 
 
-def test_the_audio_threads_are_real_time_until_the_config_says_no(server, config):
-    path = config()
-    with (
-        playing(server, "desktop", daemons.tone(TONE_HZ, 60.0)),
-        daemons.running(server, "--config", str(path), device=None) as daemon,
-    ):
+def test_the_audio_threads_are_real_time_until_the_config_says_no(plays, config):
+    with plays() as (daemon, felt):
         status = daemon.wait_state(DaemonState.RUNNING)
         if any("real-time" in warning for warning in status.warnings):
             pytest.skip("this machine grants no real-time priority")
@@ -370,22 +355,15 @@ def test_the_audio_threads_are_real_time_until_the_config_says_no(server, config
         config("realtime = false")
         reload(daemon)
         wait_for(lambda: os.SCHED_RR not in schedulers(daemon), "threads like others")
-        config()
-        path.write_text('device = "haptic"\nblock_frames = 256\n')
+        config("block_frames = 256")
         reload(daemon)
         wait_for(lambda: schedulers(daemon).count(os.SCHED_RR) == 2, "priority again")
-
-
-def test_the_thread_that_captures_applications_is_an_audio_thread_too(plays, config):
-    with plays() as (daemon, felt):
-        config('tap = "app:Player"')
+        config('tap = "app:Player"')  # the thread that captures it is an audio thread, too
         assert "changed: the tap" in reload(daemon)
-        status = daemon.wait(
+        daemon.wait(
             lambda s: s.tap.address == "app:Player" and s.levels.vibration.peak_dbfs > -60.0,
             "the application",
         )
-        if any("real-time" in warning for warning in status.warnings):
-            pytest.skip("this machine grants no real-time priority")
         wait_for(lambda: schedulers(daemon).count(os.SCHED_RR) == 2, "two audio threads")
         config()
         assert "changed: the tap" in reload(daemon)

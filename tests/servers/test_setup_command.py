@@ -160,12 +160,7 @@ def test_a_tone_without_questions_is_stopped_by_ctrl_c_too(server, tmp_path):
 
 @on_pulse
 def test_a_tone_that_is_stopped_ends_the_setup_with_nothing_written(server, tmp_path):
-    with (
-        recording(server, "haptic.monitor", tmp_path / "haptic") as felt,
-        set_up(server, "--device", "haptic") as terminal,
-    ):
-        terminal.expect("Felt it?")
-        wait_for(lambda: felt_now(felt), "vibration")
+    with asked(server, "Felt it?", tmp_path) as (terminal, felt):
         terminal.type("s")
         assert terminal.wait() == 0
         wait_for(lambda: not felt_now(felt), "silence")

@@ -20,7 +20,6 @@ from tests.servers import listening
 from tests.servers.witness import Verdict
 from tests.support.commands import open_files
 from tests.support.memory import resident_bytes
-from tests.support.programs import printed
 from tools.sound_server_files import wireplumber_generation
 
 POSITIONS = {
@@ -253,28 +252,6 @@ def test_python_meets_a_stream_s_thread_once_and_forgets_it_at_the_end(server, p
 
     # A callback that a busy machine delays beyond the time allowed leaves one behind.
     assert any(all_forgotten() for _ in range(listening.ATTEMPTS))
-
-
-def test_libraries_print_nothing_and_we_do(server):
-    program = """
-import os, sys
-from device.errors import LostError
-from device.stream import PcmConfig, PlaybackStream, filter_stderr
-from device.stream.pcms import ServerDevice
-filter_stderr()
-pcms = PcmConfig("out")
-pcms.pcms["out"].target = ServerDevice("nowhere", server="unix:/nowhere")
-try:
-    PlaybackStream(pcms.pcms["out"], 48000, 2, lambda out, now_s: None)
-except LostError as error:
-    print(error, file=sys.stderr)
-os.write(2, b"ours\\n")
-pcms.close()
-"""
-    _, lines = printed(program, environment=server.environment)
-    assert len(lines) == 2, lines
-    assert "nowhere" in lines[0]
-    assert lines[1] == "ours"
 
 
 def test_what_cannot_be_opened_is_refused(server, pcms):

@@ -15,7 +15,7 @@ from audioflinger_hook.service.sync_trials import Answer, SimulatedPerson, SyncT
 from tests.monitor import stand_in
 from tests.monitor.stand_in import STATUS, daemon_socket
 from tests.servers.daemons import environment, running
-from tests.servers.listening import RATE_HZ, arriving, recording, wait_for, wait_seconds
+from tests.servers.listening import arriving, onsets, recording, wait_for, wait_seconds
 from tests.support.terminal import Terminal
 
 on_pulse = pytest.mark.parametrize("server", ["pulse"], indirect=True)
@@ -28,7 +28,6 @@ END = {"sync": {"try_ms": None}}
 
 
 def asked(live):
-    """What the daemon was asked, without the protocol."""
     return [{"sync": request["sync"]} for request in live.requests]
 
 
@@ -67,12 +66,6 @@ def was_asked(live):
         assert asked(live)[-1] == {"sync": {"try_ms": offset_ms}}
 
     return check
-
-
-def onsets(frames, level):
-    """The frames at which a recording exceeds a level after a tenth of a second below."""
-    loud = np.flatnonzero(np.abs(frames).max(axis=1, initial=0.0) > level)
-    return loud[np.diff(loud, prepend=-RATE_HZ) > RATE_HZ // 10]
 
 
 def clicks_in(frames):
@@ -174,8 +167,8 @@ def test_a_default_tap_whose_monitor_is_not_named_is_the_default_sink(server, mo
 
 def lags_ms(heard, felt):
     """By how many ms the tap of each click in two recordings comes after the click."""
-    clicks = [heard.at_s(int(frame)) for frame in onsets(heard.frames(), 0.1)]
-    taps = np.array([felt.at_s(int(frame)) for frame in onsets(felt.frames(), 0.02)])
+    clicks = [heard.at_s(frame) for frame in onsets(heard.frames(), 0.1)]
+    taps = np.array([felt.at_s(frame) for frame in onsets(felt.frames(), 0.02)])
     return [1e3 * float(np.min((taps - click_s)[taps > click_s - 0.05])) for click_s in clicks]
 
 

@@ -6,8 +6,6 @@ which the witness was torn, too, is made again. Of the others a single one may f
 may be lost on one server alone; so many must be as they should that a click now and then is found.
 """
 
-import signal
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,9 +17,8 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt
 
 from device.units import Float32Array, FloatArray
-from tests.servers.daemons import FELT, Daemon, tone
-from tests.servers.listening import RATE_HZ, playing, recording, wait_for
-from tools.sound_server import SoundServer
+from tests.servers.daemons import FELT, tone
+from tests.servers.listening import RATE_HZ, own_server, playing, recording, wait_for
 
 CLICK_DB = -50.0  # loudest click: what is above 250 Hz, against full scale
 CLEAN, STRAY = 5, 1
@@ -29,12 +26,8 @@ CLEAN, STRAY = 5, 1
 missed one time in 9, and a cycle that is lost in one of 30 fails one test in 60."""
 
 EXCUSED = 10  # failed attempts with a torn witness after which the machine is too busy to tell
-AFTER = RATE_HZ
-"""Frames that are looked at once a step is in effect: its last fade may begin only then."""
-
-EARLIER = RATE_HZ // 5
-"""Frames before a step that are looked at, too: the filter starts from silence."""
-
+AFTER = RATE_HZ  # frames looked at once a step is in effect: its last fade may begin only then
+EARLIER = RATE_HZ // 5  # frames before it that are looked at, too: the filter starts from silence
 SETTLED = RATE_HZ // 10  # frames after which the filter's start is over
 BLOCK = RATE_HZ // 100  # frames of a block that is felt or not
 NEAR = RATE_HZ // 5  # frames between two recordings of one moment, at most
@@ -89,10 +82,7 @@ def witness_tone(folder: Path, quantum: int = 0) -> Iterator[Heard]:
 
     quantum: its cycle in frames; 0 for what the programs ask for. Short cycles are lost more often.
     """
-    with (
-        tempfile.TemporaryDirectory(prefix="cushion-") as own,
-        SoundServer("pipewire", Path(own)) as server,
-    ):
+    with own_server() as server:
         server.set_clock("force-quantum", quantum)
         with (
             playing(server, "desktop", tone(110.0, 240.0), name="witness"),
@@ -155,14 +145,7 @@ class Verdict:
         return False
 
 
-def check_step(
-    daemon: Daemon,
-    config: Path,
-    texts: tuple[str, str],
-    heard: Sequence[Heard],
-    settle: Callable[[int], None],
-    silent_ms: float,
-) -> None:
+def check_step(daemon, config, texts, heard, settle, silent_ms) -> None:
     """A change of the config never clicks nor lets the vibration end for longer than silent_ms.
 
     texts: the config before and after. heard: what is felt, the played sound, the witness.
@@ -170,8 +153,7 @@ def check_step(
     """
 
     def put(which: int) -> None:
-        config.write_text(texts[which])
-        daemon.process.send_signal(signal.SIGHUP)
+        daemon.reload(config, texts[which])
         settle(which)
 
     verdict, shown = Verdict(repr(texts[1])), False

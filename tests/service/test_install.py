@@ -1,21 +1,24 @@
-"""The user unit and the udev rule."""
-
+import configparser
 import os
+import shlex
 import shutil
 import stat
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from audioflinger_hook.service import autostart
 from audioflinger_hook.service import install as units
 from audioflinger_hook.service.install import FORGET, MARK, UDEV_PATH, install, own_command, restore
 from device.errors import UsageError, WriteError
 from device.stream.callback_thread import PRIORITY
+from tests.support.recordings import ROOT
 
 STATE = Path("/home/me/.local/state/cushion")
-ANALYZE = shutil.which("systemd-analyze")
+ANALYZE: Any = shutil.which("systemd-analyze")
 needs_systemd = pytest.mark.skipif(ANALYZE is None, reason="systemd is not installed")
 
 
@@ -30,8 +33,6 @@ def line_of(text: str, key: str) -> str:
 
 
 def complaints(text: str, folder: Path) -> str:
-    """Return what systemd says about a unit, "" if it has nothing to say."""
-    assert ANALYZE is not None
     path = folder / "cushion.service"
     path.write_text(text)
     environ = {"PATH": os.environ["PATH"], "HOME": str(folder), "XDG_RUNTIME_DIR": str(folder)}
@@ -55,10 +56,8 @@ def test_systemd_has_nothing_to_say_about_the_unit(tmp_path, environ):
 
 @needs_systemd
 def test_systemd_understands_every_name_and_argument(tmp_path):
-    program = tmp_path / "it's 100% $HOME; a b"
-    program = program.with_name(program.name.replace("'", ""))
-    program.mkdir()
-    program /= "cushion"
+    program = tmp_path / "its 100% $HOME; a b" / "cushion"
+    program.parent.mkdir()
     program.write_text("#!/bin/sh\n")
     program.chmod(0o755)
     arguments = ("--config", "a \"b\" \\ $X ${Y} %h 'c'", ";", "", "é", "--offset-ms=-5")
@@ -196,14 +195,139 @@ def test_the_program_that_runs_is_the_one_that_is_installed(tmp_path):
 
 
 def test_the_command_installs_the_rule_as_it_is(tmp_path):
-    """The command runs here with a `sudo` that only does the writing, elsewhere."""
     target = tmp_path / "70-cushion.rules"
+    # it only does the writing, elsewhere
     sudo = f'sudo() {{ if [ "$1" = tee ]; then cat > "{target}"; else echo "$*"; fi; }}\n'
     command = ["sh", "-c", sudo + units.UDEV_COMMAND]
     done = subprocess.run(command, capture_output=True, text=True, timeout=10)
-    assert done.stderr == ""
     assert int(Path(UDEV_PATH).name[:2]) < 73  # the rule that gives access away
     assert target.read_text() == units.UDEV_RULE
-    assert done.stdout.splitlines() == [
-        *("udevadm control --reload", "udevadm trigger --subsystem-match=usb --action=change")
-    ]
+    said = "udevadm control --reload\nudevadm trigger --subsystem-match=usb --action=change\n"
+    assert (done.stdout, done.stderr) == (said, "")
+
+
+PROGRAM = [sys.executable, "-m", "audioflinger_hook"]
+WANTED = "config/systemd/user/default.target.wants/cushion.service"
+ENTRY = "config/autostart/cushion.desktop"
+
+
+@pytest.fixture
+def homes(tmp_path):
+    folders = {f"XDG_{name.upper()}_HOME": str(tmp_path / name) for name in ("config", "data")}
+    return {"HOME": str(tmp_path), "PATH": "/nowhere", **folders}
+
+
+@pytest.fixture(params=["systemd", "without systemd"])
+def started_by(request, tmp_path, monkeypatch):
+    """Return the file that makes the daemon start at login."""
+    booted = tmp_path / "booted"
+    if request.param == "systemd":
+        booted.mkdir()
+    monkeypatch.setattr(autostart, "BOOTED", booted)
+    return tmp_path / (WANTED if request.param == "systemd" else ENTRY)
+
+
+def test_it_is_on_once_switched_on_and_off_once_switched_off(homes, started_by):
+    assert not autostart.is_on(homes)
+    for wanted in (True, True, False, False):
+        autostart.set_on(wanted, homes, PROGRAM)
+        assert autostart.is_on(homes) == os.path.lexists(started_by) == wanted
+        assert started_by.exists() == wanted
+
+
+@pytest.mark.parametrize("started_by", ["systemd"], indirect=True)
+def test_systemd_itself_says_that_the_unit_is_enabled(homes, started_by, tmp_path):
+    """`systemctl --root` reads a machine's folders; etc/systemd/user has the units of all users."""
+    if shutil.which("systemctl") is None:
+        pytest.skip("systemd is not installed")
+    autostart.set_on(True, homes, PROGRAM)
+    machine = tmp_path / "machine/etc/systemd"
+    shutil.copytree(tmp_path / "config/systemd", machine, symlinks=True)
+    command = ["systemctl", f"--root={tmp_path / 'machine'}", "--global", "is-enabled"]
+
+    def told() -> str:
+        done = subprocess.run([*command, "cushion"], capture_output=True, text=True, timeout=20)
+        return done.stdout.strip()
+
+    assert told() == "enabled"
+    (machine / "user/default.target.wants/cushion.service").unlink()
+    assert told() == "disabled"
+
+
+@pytest.mark.parametrize("started_by", ["systemd"], indirect=True)
+def test_a_unit_that_is_installed_keeps_its_options(homes, started_by):
+    unit = install(["--wait", "--device", "sink:x"], PROGRAM, homes).path
+    before = unit.read_text()
+    autostart.set_on(True, homes, PROGRAM)
+    autostart.set_on(False, homes, PROGRAM)
+    assert unit.read_text() == before
+    autostart.set_on(True, homes, PROGRAM)
+    unit.unlink()
+    assert not autostart.is_on(homes), "a link to nothing starts nothing"
+    autostart.set_on(True, homes, PROGRAM)
+    assert unit.read_text().startswith(MARK)
+
+
+def test_a_machine_that_got_systemd_does_not_start_the_daemon_twice(homes, tmp_path, monkeypatch):
+    monkeypatch.setattr(autostart, "BOOTED", tmp_path / "booted")
+    autostart.set_on(True, homes, PROGRAM)
+    (tmp_path / "booted").mkdir()
+    assert autostart.is_on(homes)
+    autostart.set_on(True, homes, PROGRAM)
+    assert [(tmp_path / each).exists() for each in (WANTED, ENTRY)] == [True, False]
+
+
+def test_what_another_program_wrote_stays_and_a_folder_not_to_be_written_is_named(
+    homes, started_by, tmp_path
+):
+    for path in (tmp_path / ENTRY, tmp_path / "config/systemd/user/cushion.service"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("[Other]\n")
+        with pytest.raises(UsageError, match="left alone; move it away first"):
+            autostart.set_on(False, homes, PROGRAM)
+        assert path.read_text() == "[Other]\n"
+        path.unlink()
+    started_by.parent.parent.mkdir(parents=True, exist_ok=True)
+    if started_by.parent.is_dir():
+        started_by.parent.rmdir()
+    started_by.parent.write_text("a file")
+    with pytest.raises(UsageError, match=str(started_by.parent)):
+        autostart.set_on(True, homes, PROGRAM)
+
+
+def entry_at(path: Path) -> configparser.SectionProxy:
+    parser = configparser.ConfigParser(interpolation=None)
+    parser.optionxform = str  # type: ignore[assignment, method-assign]
+    parser.read(path, encoding="utf-8")
+    return parser["Desktop Entry"]
+
+
+def test_the_menu_has_an_entry_with_an_icon_that_opens_the_page(homes, tmp_path):
+    entry = entry_at(autostart.install_page_entry(PROGRAM, homes))
+    assert shlex.split(entry["Exec"]) == [*PROGRAM, "monitor", "--open"]
+    icon = tmp_path / f"data/icons/hicolor/scalable/apps/{entry['Icon']}.svg"
+    assert icon.read_bytes() == autostart.icon_bytes()
+    autostart.remove_page_entry(homes)
+    assert not any(path.is_file() for path in (tmp_path / "data").rglob("*"))
+
+
+def test_the_packaged_entry_and_icon_are_the_program_s_and_words_are_quoted():
+    share = ROOT / "share"
+    assert (share / "applications/haptic-cushion.desktop").read_text() == autostart.page_entry()
+    icon = share / "icons/hicolor/scalable/apps/haptic-cushion.svg"
+    assert icon.read_bytes() == autostart.icon_bytes()
+    assert autostart.exec_line(["/a/b", "100%"]) == "/a/b 100%%"
+    assert autostart.exec_line(["/a b/c", "", "it's"]) == '"/a b/c" "" "it\'s"'
+    assert autostart.exec_line(['$"`\\']) == r'"\\$\\"\\`\\\\"'
+    with pytest.raises(UsageError, match="unprintable"):
+        autostart.exec_line(["a\nb"])
+
+
+def test_the_desktop_reads_the_command_as_it_was_written(tmp_path):
+    glib = pytest.importorskip("gi.repository.GLib")
+    words = ["/opt/a b", "$HOME", 'q"q', "back\\slash", "`x`", "é"]
+    path = tmp_path / "x.desktop"
+    path.write_text(f"[Desktop Entry]\nExec={autostart.exec_line(words)}\n")
+    keys = glib.KeyFile()
+    keys.load_from_file(str(path), glib.KeyFileFlags.NONE)
+    assert glib.shell_parse_argv(keys.get_string("Desktop Entry", "Exec"))[1] == words

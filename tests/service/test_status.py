@@ -1,5 +1,3 @@
-"""The status document and its view."""
-
 import io
 import json
 import math
@@ -74,7 +72,6 @@ OF_SCALARS = {
 
 
 def any_of(kind: Any) -> st.SearchStrategy[Any]:
-    """Any value of a type that the status has."""
     arguments = get_args(kind)
     if isinstance(kind, type) and is_dataclass(kind):
         parts = {name: any_of(part) for name, part in get_type_hints(kind).items()}
@@ -97,8 +94,7 @@ large = settings(suppress_health_check=[HealthCheck.too_slow])
 @given(statuses)
 def test_a_status_comes_back_from_its_document_as_it_was(status):
     line = to_json(status)
-    assert "\n" not in line
-    assert line.isascii()
+    assert ("\n" in line, line.isascii()) == (False, True)
     assert (from_json(Status, line), from_json(Status, line.encode())) == (status, status)
 
 
@@ -262,8 +258,7 @@ def test_names_are_text_and_no_commands_to_the_terminal_and_a_flood_of_warnings_
     flooded = replace(STATUS, warnings=tuple(f"number {i}" for i in range(1000)))
     shown = status_text(flooded)  # the last ones are shown
     assert "(980 earlier ones left out)" in shown
-    assert "number 999" in shown
-    assert "number 979" not in shown
+    assert ("number 999" in shown, "number 979" in shown) == (True, False)
 
 
 @pytest.mark.parametrize(
@@ -322,11 +317,9 @@ def test_several_actuators_are_shown_each_with_its_own_figures():
     assert told.endswith("+ actuator 6.0")
 
 
-@pytest.mark.parametrize("width", [0, 10, 40, 79, 200])
-def test_the_meter_fits_into_a_line(width):
-    line = meter_line(replace(STATUS, principal=(Partial(440.0, 100.3, 0.3),), muted=True), width)
-    assert len(line) <= width
-    assert "\n" not in line
-    if width >= 79:
-        assert line.startswith("running, muted  sound ████")
-        assert line.endswith("440 → 100 Hz")
+def test_the_meter_fits_into_a_line():
+    status = replace(STATUS, principal=(Partial(440.0, 100.3, 0.3),), muted=True)
+    for width in (0, 10, 40, 79, 200):
+        line = meter_line(status, width)
+        assert (len(line) <= width, "\n" in line) == (True, False)
+        assert width < 79 or re.fullmatch("running, muted  sound ████.*440 → 100 Hz", line)

@@ -1,5 +1,3 @@
-"""The status server answers its user and is hurt by nobody."""
-
 import contextlib
 import json
 import os
@@ -20,7 +18,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.service import status_server
-from audioflinger_hook.service import status_server as server_module
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Endpoint, Status
@@ -46,8 +43,6 @@ sys.stdin.read()
 
 
 class Daemon:
-    """A server in a folder of its own, and its clients."""
-
     def __init__(self, base: str) -> None:
         self.environ = {"XDG_RUNTIME_DIR": base}
         self.folder = RuntimeFolder(self.environ, create=True)
@@ -107,8 +102,7 @@ def test_the_socket_is_for_its_owner_alone_and_its_path_longer_than_an_address(t
     mode = (daemon.folder.path / NAME).stat().st_mode
     assert daemon.ask() == STATUS
     daemon.close()
-    assert stat.S_ISSOCK(mode)
-    assert stat.S_IMODE(mode) == 0o600
+    assert (stat.S_ISSOCK(mode), stat.S_IMODE(mode)) == (True, 0o600)
 
 
 def test_many_requests_are_answered_in_order_and_a_status_that_cannot_be_told_harms_nobody(daemon):
@@ -172,8 +166,8 @@ def test_whatever_is_sent_every_answer_is_json_and_the_next_is_served(daemon, me
 
 @pytest.fixture
 def hasty_daemon(daemon, monkeypatch):
-    monkeypatch.setattr(server_module, "REQUEST_TIME_S", 0.2)
-    monkeypatch.setattr(server_module, "LIFETIME_S", 0.5)
+    monkeypatch.setattr(status_server, "REQUEST_TIME_S", 0.2)
+    monkeypatch.setattr(status_server, "LIFETIME_S", 0.5)
     return daemon
 
 
@@ -247,7 +241,7 @@ def test_a_flood_costs_the_daemon_a_bounded_number_of_answers_and_others_get_the
 
 
 def test_other_users_get_no_answer(daemon, monkeypatch):
-    monkeypatch.setattr(server_module, "peer_uid", lambda _: os.geteuid() + 1)
+    monkeypatch.setattr(status_server, "peer_uid", lambda _: os.geteuid() + 1)
     with daemon.connect() as client:
         with contextlib.suppress(BrokenPipeError):  # closed before it could ask
             client.sendall(ASK)

@@ -1,5 +1,3 @@
-"""Watching and controlling a daemon by its socket: bounded, versioned, in order, newest first."""
-
 import json
 import socket
 import threading
@@ -10,7 +8,7 @@ from typing import Any, Self
 import pytest
 
 from audioflinger_hook.service.status_server import CLIENTS_MAX, NAME, PROTOCOL, WATCHERS_MAX
-from tests.monitor.stand_in import LIMIT_S, Settings, daemon_socket
+from tests.monitor.stand_in import LIMIT_S, daemon_socket
 from tests.servers.listening import wait_for
 
 
@@ -56,23 +54,18 @@ class Client:
         self.socket.close()
 
 
-def test_a_client_that_watches_gets_versions_frames_settings_and_the_status(live, folder):
+def test_a_client_that_watches_gets_everything_and_without_one_nothing_is_computed(live, folder):
     with Client(folder, ask="watch", rate_hz=60) as client:
         assert client.next()["hello"]["protocol"] == PROTOCOL
         assert (client.next()["frame"]["missed"], client.next()["settings"]["undo"]) == (0, 0)
         assert client.next_with("status")["state"] == "running"
 
+    def is_over() -> bool:
+        before = live.frames
+        threading.Event().wait(0.2)  # five frames
+        return bool(live.frames == before)
 
-def test_without_a_client_nothing_is_computed(live, folder):
-    with Client(folder, ask="watch") as client:
-        client.next_with("frame")
-    wait_for(lambda: not _is_counting(live), "end of the frames", LIMIT_S)
-
-
-def _is_counting(live: Settings) -> bool:
-    before = live.frames
-    threading.Event().wait(0.2)  # five frames
-    return live.frames != before
+    wait_for(is_over, "end of the frames", LIMIT_S)
 
 
 OUT = "rate_hz is out of range; allowed: 1 to 60"
@@ -126,8 +119,7 @@ def test_a_client_that_does_not_read_misses_frames_and_then_gets_the_newest(live
         while client.next_with("frame")["missed"] == 0:
             frames += 1
         # What was in the kernel is some tenths of a second, not the whole time.
-        assert frames <= made
-        assert frames < 120
+        assert frames < min(120, made + 1)
 
 
 def test_a_frame_that_cannot_be_made_costs_no_thread(live, folder, monkeypatch):

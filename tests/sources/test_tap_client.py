@@ -1,5 +1,3 @@
-"""A tap on a track, and a capture as a tap: bit for bit and without a gap, through any change."""
-
 import math
 
 import numpy as np
@@ -11,6 +9,7 @@ from scipy.signal.windows import blackmanharris
 from audioflinger_hook.capture import CaptureWriter
 from audioflinger_hook.mixer.resampler import tail_frames_out
 from audioflinger_hook.sources import FramesTap, Tap, TapClient
+from audioflinger_hook.sources.address import GRAMMAR, KINDS, TapAddress, parse_tap
 from audioflinger_hook.sources.file import CaptureTap
 from device.errors import UsageError
 from tests.support.taps import BufferTap, cut, mixed, mixer_for, noise
@@ -31,7 +30,6 @@ def connected(tap, samplerate=0, channels=0):
 
 
 def heard(client, mixer):
-    """Everything that is mixed until the client ends, a block a cycle."""
     blocks = mixed(client, mixer)
     assert client.play() is None
     return blocks
@@ -143,7 +141,6 @@ def test_another_format_goes_on_in_the_mix_of_the_first():
 
 
 def captured(folder, *buffers, stream="tap"):
-    """Write buffers at 48 kHz as a capture, and return its folder."""
     with CaptureWriter(folder, streams=(stream,)) as writer:
         for frames in buffers:
             writer.write_buffer(stream, frames, 48_000, 0.0)
@@ -198,3 +195,55 @@ def test_a_format_that_the_transform_does_not_take_is_refused_where_it_comes(tmp
     assert tap.read() is not None
     with pytest.raises(UsageError, match=r"second: channels=65 is out of range"):
         tap.read()
+
+
+names = st.text(min_size=1).filter(str.strip)
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "name"),
+    [
+        ("default", "default", ""),
+        *((f"sink:{name}", "sink", name) for name in ("default", "a:b", " x ")),
+        *((name, "sink", name) for name in ("alsa_output.usb", "demo", "Default", " default")),
+        *(("app:Firefox", "app", "Firefox"), ("file:a/b c.wav", "file", "a/b c.wav")),
+        *(("file:capture:x", "file", "capture:x"), ("capture:out", "capture", "out")),
+    ],
+)
+def test_an_address_is_taken_as_it_is_written(text, kind, name):
+    assert parse_tap(text) == TapAddress(kind, name)
+
+
+@given(st.sampled_from([kind for kind in KINDS if kind != "default"]), names)
+def test_an_address_written_out_is_the_same_address(kind, name):
+    address = TapAddress(kind, name)
+    assert parse_tap(str(address)) == address
+
+
+@pytest.mark.parametrize("path", ["film.wav", "d1/scene.WAV", "out/", "./film"])
+def test_a_path_alone_is_refused_with_the_address_that_was_meant(path):
+    with pytest.raises(UsageError, match=f"did you mean file:{path}\\?"):
+        parse_tap(path)
+
+
+@given(names.filter(lambda name: not set(":/.") & set(name) and name != "default"))
+def test_a_word_alone_is_a_sinks_name(name):
+    assert parse_tap(name) == TapAddress("sink", name)
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        *((text, "has an empty name") for text in ("", " ", "sink:", "file: ")),
+        *((text, "has a name, but default has none") for text in ("default:", "default:x")),
+        ("Sink:x", "unknown kind 'Sink'"),
+        ("usb:1234:5678", r"unknown kind 'usb' \(for a sink of that name write sink:usb:1234"),
+        (":x", "has the unknown kind ''"),
+    ],
+)
+def test_what_is_no_address_is_refused_with_the_grammar(text, what):
+    with pytest.raises(UsageError, match=what) as caught:
+        parse_tap(text)
+    assert f"tap {text!r}" in str(caught.value) or not text.strip()
+    assert GRAMMAR in str(caught.value)
+    assert caught.value.exit_code == 2

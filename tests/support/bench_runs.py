@@ -1,5 +1,3 @@
-"""The bench with the least effort, and its command run inside this process."""
-
 from collections.abc import Callable
 
 import pytest
@@ -48,14 +46,12 @@ def a_bench(found=(), absent=None):
 
 
 def bench_command(*arguments: object) -> Done:
-    """Run python -m tools.bench inside this process."""
     return call(*arguments, program=main)
 
 
 def run_benches(
     monkeypatch: pytest.MonkeyPatch, *arguments: object, **benches: Callable[[Workbench], Section]
 ) -> Done:
-    """Run the quick command with these benches alone, by name."""
     chosen = tuple((name, measure, 1.0) for name, measure in benches.items())
     monkeypatch.setattr(run, "BENCHES", chosen)
     return bench_command("--quick", *arguments)

@@ -1,5 +1,3 @@
-"""Small libraries of sound, and what a run has left in its output folder."""
-
 import json
 from pathlib import Path
 from typing import Any
@@ -13,7 +11,6 @@ LOW_RATE = 8_000
 
 
 def library(folder: Path, count: int = 4, frames: int = 2_000) -> Path:
-    """Make a folder with some short sounds, each of another length, and return it."""
     folder.mkdir()
     for index in range(count):
         random = np.random.default_rng(index)
@@ -48,6 +45,5 @@ def manifest(path: Path, *lines: object) -> Path:
 
 
 def expected(local: Path, tmp_path: Path) -> dict[str, bytes]:
-    """Return the results of the same library on this machine."""
     assert call("catalogue", local, "--out", tmp_path / "local", "--workers", 1).code == 0
     return results(tmp_path / "local")

@@ -15,8 +15,6 @@ CYCLE_S = FRAMES / RATE
 
 
 class FakeClock:
-    """Seconds that pass only where a test says so."""
-
     def __init__(self):
         self.now_s = 100.0
 
@@ -49,7 +47,6 @@ class Probe:
         return reply() if callable(reply) else reply
 
     def take(self):
-        """Return what has reached it since the last time."""
         seen, self.seen = self.seen, []
         return seen
 
@@ -74,7 +71,6 @@ def noise(frames=FRAMES, channels=2, haptic_channels=1, seed=0, level=0.1):
 
 
 def running(*engines, clock=None, session=0, cfg=None, **chains_options):
-    """Chains in which engines run, and their modules."""
     chains = EffectChains(clock or FakeClock(), **chains_options)
     cfg = cfg or config()
     chains.set_format(cfg.samplerate, cfg.channels, cfg.haptic_channels, cfg.frames)

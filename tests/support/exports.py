@@ -22,7 +22,6 @@ Frames = np.ndarray[Any, np.dtype[np.float32]]
 
 
 def client_of(sound: Frames, rate_hz: int = RATE_HZ, blocksize: int = 32_768) -> TapClient:
-    """Return a client that plays (frames, channels) from memory."""
     return TapClient(FramesTap(sound, rate_hz, blocksize))
 
 
@@ -37,7 +36,6 @@ def exported(
     device_band_hz: tuple[float, float] | None = None,
     **settings: Any,
 ) -> ExportReport:
-    """Export a sound from memory to a path."""
     options = ExportOptions(name, output_rate_hz, device_band_hz)
     return export(client_of(sound, rate_hz), path, Settings(profile=profile, **settings), options)
 
@@ -59,7 +57,6 @@ def scene(seconds: float = 2.0, channels: int = 1) -> Frames:
 
 
 def check(name: str, content: bytes) -> None:
-    """Raise if a file breaks a rule of its format."""
     CHECKS[name](content)
 
 
@@ -172,6 +169,5 @@ CHECKS = {
 
 
 def read_wave(path: Path) -> tuple[np.ndarray[Any, np.dtype[np.float64]], int]:
-    """Return a sound file's frames, (frames, channels), and its rate."""
     frames, rate_hz = soundfile.read(path, always_2d=True)
     return frames, int(rate_hz)

@@ -1,5 +1,3 @@
-"""What a process holds."""
-
 import psutil
 
 

@@ -1,5 +1,3 @@
-"""An output that keeps its blocks, for tests of everything that writes to outputs."""
-
 from typing import Any
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Parameters by kind, numbers with their ranges and words with their choices, and actuators."""
-
 from audioflinger_hook.transform import TransformParameters
 from device.values import Choice, Number
 

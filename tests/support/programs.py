@@ -1,5 +1,3 @@
-"""Small programs of Python, run in a process."""
-
 import os
 import subprocess
 import sys

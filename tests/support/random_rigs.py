@@ -25,7 +25,6 @@ SWEEP_S = 5.0
 
 
 def log_uniform(random: np.random.Generator, low: float, high: float) -> float:
-    """A random number, evenly spread by its logarithm."""
     return float(np.exp(random.uniform(math.log(low), math.log(high))))
 
 

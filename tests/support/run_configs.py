@@ -1,5 +1,3 @@
-"""What a daemon is told to run, with usual values for what a test does not choose."""
-
 from typing import Any
 
 from audioflinger_hook.config.settings import LiveSettings, Settings

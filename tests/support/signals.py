@@ -41,7 +41,6 @@ def tone(
 
 
 def five_tones(seconds: float, samplerate: int, amplitude: float = 0.15) -> FloatArray:
-    """Return the sum of the paper's five tones, each of the same amplitude."""
     tones = [tone(hz, seconds, samplerate, amplitude) for hz in FIVE_TONES_HZ]
     return np.asarray(np.sum(tones, axis=0))
 

@@ -15,7 +15,6 @@ def noise(frames: int, channels: int = 2, seed: int = 0) -> Float32Array:
 
 
 def frames_of(tap: Tap) -> Float32Array:
-    """Return all frames of a tap, which is closed."""
     buffers = []
     while (buffer := tap.read()) is not None:
         buffers.append(buffer)

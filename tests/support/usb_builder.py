@@ -45,12 +45,10 @@ def configuration(*parts: bytes, attributes: int = 0x80, units_of_2_ma: int = 50
 def configuration_of(
     body: bytes, interfaces: int, attributes: int = 0x80, units_of_2_ma: int = 50
 ) -> bytes:
-    """A configuration of any bytes, descriptors or not."""
     return descriptor(2, le(9 + len(body), 2), interfaces, 1, 0, attributes, units_of_2_ma) + body
 
 
 def split(raw: bytes) -> list[bytes]:
-    """The descriptors of well-formed bytes."""
     found = []
     while raw:
         found.append(raw[: raw[0]])

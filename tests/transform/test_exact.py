@@ -1,5 +1,3 @@
-"""The elementary functions of the C code and its spectra, against more exact ones."""
-
 from collections.abc import Callable
 from typing import Any
 

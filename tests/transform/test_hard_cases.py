@@ -1,5 +1,3 @@
-"""Input at the edges of what a stream may hold, for both forms: each case by its name."""
-
 import pickle
 import time
 

@@ -1,5 +1,3 @@
-"""The core and its oracle: the same vibration, whatever the sound and its blocks."""
-
 import copy
 import itertools
 import pickle

@@ -1,5 +1,3 @@
-"""Savings and corrections, switched off or undone one by one: for most of them nothing changes."""
-
 from dataclasses import replace
 
 import numpy as np

@@ -6,8 +6,7 @@ from functools import partial
 import pytest
 
 from tests.support.random_rigs import SHARES
-from tests.support.rig_soak import soak_energy
-from tests.support.soak import soak_identification, soak_scene, soak_tone
+from tests.support.soak import soak_energy, soak_identification, soak_scene, soak_tone
 from tools.records import PROJECT_ROOT
 from tools.soak_record import HOPS, RECORD, RIGS, SAMPLES, SoakRecord, keep_record
 

@@ -97,8 +97,7 @@ def mixed(hw: str) -> list[dict[str, Any]]:
             mixer.set_muted(switch, muted)
             mutes.append(list(mixer.muted(switch)))
         for volume in mixer.volumes:
-            decibels = volume.decibels
-            assert decibels is not None
+            decibels: Any = volume.decibels
             set_db = mixer.set_volume_db(volume, 6.0)
             asks = ["amixer", "-c", card, "cget", f"name={volume.name}"]
             alsa = subprocess.check_output(asks, text=True)

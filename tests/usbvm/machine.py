@@ -23,12 +23,8 @@ ROOT = Path(__file__).resolve().parents[2]
 KERNEL = ROOT / ".cache/usb-vm"
 QEMU = "qemu-system-x86_64"
 MODULES_AT_START = ("virtio_pci", "9pnet_virtio", "9p", "overlay")
-SERIAL = "SN1"
-"""Of every card: else QEMU would make one of the port, and a card in another port another card."""
-
-BUFFER_FRAMES = 32 * 48
-"""Of each card, as QEMU has it by itself: 32 packets of 1 ms. It drops them when a stream ends."""
-
+SERIAL = "SN1"  # of every card: else QEMU makes one of the port
+BUFFER_FRAMES = 32 * 48  # of QEMU's cards: 32 packets of 1 ms, dropped when a stream ends
 BUS_OF_QEMU, BUS_OF_SOFTWARE = "xhci-pci", "vhci-hcd"
 POLL_S = 0.02
 
@@ -189,8 +185,7 @@ def first_files(folder: Path) -> Path:
     root = folder / "initrd"
     for name in ("bin", "dev", "proc", "sys", "lower", "layer", "new", "modules"):
         (root / name).mkdir(parents=True)
-    busybox = shutil.which("busybox")
-    assert busybox is not None
+    busybox: Any = shutil.which("busybox")
     shutil.copy(busybox, root / "bin/busybox")
     found: dict[str, None] = {}
     for module in MODULES_AT_START:

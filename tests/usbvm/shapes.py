@@ -7,8 +7,7 @@ from tests.support.usb_shapes import PLAIN_FUNCTION_2, PLAY_2, adaptive_1, basic
 
 PCM, PCM8 = 1, 2
 HEADPHONE_PROFILE = 0x21
-MILLISECOND_2 = 4
-"""bInterval at high speed: 2^(4-1) microframes."""
+MILLISECOND_2 = 4  # bInterval at high speed: 2^(4-1) microframes
 
 
 def dac_1(volume: bool = True, subslot: int = 2, rates: Sequence[int] = (44_100, 48_000)) -> bytes:

@@ -22,13 +22,9 @@ pytestmark = [pytest.mark.usbvm, pytest.mark.skipif(bool(why_not()), reason=why_
 RATE_HZ = 48_000
 LIMIT_S = 1_500.0
 PLAYS_AGAIN_S = 3.0
-CUT_FRAMES = BUFFER_FRAMES + 3 * 256
-"""What is dropped when a stream ends: the buffer of QEMU's card, and the kernel's, three blocks."""
-
-OFF_FRAMES_MAX = 48.0
-"""One millisecond: the loop's own wandering beside blocks of 256 frames."""
-WANDERS_PPM = 60.0
-"""Of the mean ratio, asked twice a second, while the loop settles on a drift of 150 or 200."""
+CUT_FRAMES = BUFFER_FRAMES + 3 * 256  # dropped at a stream's end: QEMU's buffer, the kernel's
+OFF_FRAMES_MAX = 48.0  # one millisecond: the loop's own wandering beside blocks of 256 frames
+WANDERS_PPM = 60.0  # of the mean ratio, while the loop settles on a drift of 150 or 200
 
 Samples = NDArray[np.int64]
 

@@ -23,8 +23,7 @@ FULL_SPEED, HIGH_SPEED = 2, 3
 SUBMIT, UNLINK, SUBMITTED, UNLINKED = 1, 2, 3, 4
 IN = 1
 HEADER = struct.Struct(">5I")
-BEHIND_S = 0.25
-"""A stream whose clock is further behind has stood still, and begins anew."""
+BEHIND_S = 0.25  # a stream whose clock is further behind has stood still, and begins anew
 
 
 class VirtualDac:
@@ -35,9 +34,7 @@ class VirtualDac:
     the bytes that were played, on a thread of its own. frame_bytes: of one frame.
     """
 
-    def __init__(
-        self, dac: SoftwareDac, take: Callable[[bytes], object], *, ppm: float = 0.0
-    ) -> None:
+    def __init__(self, dac: SoftwareDac, take: Callable[[bytes], object], *, ppm=0.0) -> None:
         self.dac = dac
         self._take = take
         self._ppm = ppm
@@ -150,9 +147,7 @@ class VirtualDac:
         total = sum(actual for _, _, actual, _ in sizes)
         self._reply(sequence, 0, total, answer + rest, start, len(places))
 
-    def _reply(
-        self, sequence: int, status: int, length: int, data: bytes, start: int = 0, packets: int = 0
-    ) -> None:
+    def _reply(self, sequence, status, length, data, start=0, packets=0) -> None:
         head = HEADER.pack(SUBMITTED, sequence, 0, 0, 0)
         rest = struct.pack(">iiiiI8x", status, length, start, packets, 0)
         self._socket.sendall(head + rest + data)

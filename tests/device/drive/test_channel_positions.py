@@ -1,5 +1,3 @@
-"""Actuators on a sink: its channels go by position, whatever order a stream has them in."""
-
 from dataclasses import replace
 
 import pytest

@@ -1,5 +1,3 @@
-"""Several actuators: routing, level, polarity, delay, their own rigs, and their channels."""
-
 from typing import Any
 
 import numpy as np
@@ -26,7 +24,6 @@ RIGHT = ActuatorSettings((1,), "right")
 
 
 def cut(signal, lengths):
-    """The signal in blocks of these lengths, over and over."""
     start, turn = 0, 0
     while start < len(signal):
         stop = start + lengths[turn % len(lengths)]
@@ -55,9 +52,7 @@ def test_an_actuator_gets_its_source_bit_for_bit_and_the_level_polarity_and_dela
     protection=st.sampled_from(["off", "on"]),
     again_after=st.integers(1, 150),
 )
-def test_no_byte_depends_on_how_the_stream_is_cut_with_changes_in_it(
-    lengths, delays, gain_db, source, protection, again_after
-):
+def test_no_byte_depends_on_the_cuts(lengths, delays, gain_db, source, protection, again_after):
     care = {"protection": protection}
     settings = [
         [ActuatorSettings((0,), "left", delay_ms=delays[0], **care), RIGHT],
@@ -162,8 +157,7 @@ def test_each_has_the_rig_and_the_care_of_its_own():
 def test_protection_sees_what_is_left_after_the_level(gain_db, is_limited):
     drive = Drive([ActuatorSettings((0,), rig="consumer", protection="on", gain_db=gain_db)], RATE)
     drive.process(tone(45.0, 0.5, RATE).astype(np.float32)[:, None])
-    (processor,) = drive.processors
-    assert processor is not None
+    processor: Any = drive.processors[0]
     assert (processor.protection().least_gain < 1.0) == is_limited
 
 

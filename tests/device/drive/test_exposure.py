@@ -1,5 +1,3 @@
-"""Exposure: Wk against its formula, doses against sums by hand, and the meter against both."""
-
 import math
 from dataclasses import replace
 

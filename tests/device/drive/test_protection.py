@@ -1,8 +1,7 @@
-"""Protection: no drive makes a rig exceed its limits, and none is touched without need."""
-
 import math
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,8 +21,7 @@ from tests.support.possible_actuators import volts_of
 from tools.rig_driver import RigDriver
 
 DAMPING = inverse_damping(PAPER.actuator, 0.5)
-assert PAPER.large_signal
-LARGE = PAPER.large_signal
+LARGE: Any = PAPER.large_signal
 RATE = 8_000
 # An amplifier that can drive the coil through its limits: 20 V where 13 V reach Xmax. Its current
 # is no limit here: that has tests of its own.
@@ -50,14 +48,12 @@ def protect(rig, drive, samplerate=RATE, **options):
 
 
 def is_untouched(rig, drive, **options):
-    """Whether a drive leaves as it is, only later."""
     protector, out = protect(rig, drive, **options)
     latency = protector.latency_frames
     return np.array_equal(out[latency : latency + len(drive)], drive.astype(np.float32))
 
 
 def warmest_c(protector, blocks):
-    """The coil's largest temperature after any of some blocks, (blocks, frames)."""
     warmest = []
     for block in blocks:
         protector.process(block[:, None])
@@ -182,12 +178,9 @@ def test_music_at_normal_level_leaves_bit_for_bit(seed, dtype, rig):
     assert not protector.process(music)[: protector.latency_frames].any()
 
 
-def test_full_scale_of_any_shape_is_untouched_where_the_amplifier_cannot_reach_the_limits():
+def test_full_scale_that_cannot_reach_the_limits_is_untouched_two_blocks_later_as_declared():
     drive = np.concatenate([tone(90.0, 0.2), tone(90.0, 0.2, shape=square), np.ones(500)])
     assert is_untouched(PAPER, drive)
-
-
-def test_the_delay_is_two_blocks_and_declared():
     protector = RigDriver(PAPER, 48_000, 1)
     assert protector.latency_frames == 192
     assert protector.protection().latency_s == pytest.approx(0.004)

@@ -1,5 +1,3 @@
-"""The linear actuator against exact solutions, and what it must hold in every case."""
-
 import math
 from dataclasses import replace
 
@@ -54,12 +52,10 @@ def motion_of(actuator, volts):
 
 
 def errors(got, expected):
-    """Largest error of each column over its largest value."""
     return np.abs(got - expected).max(axis=0) / np.abs(expected).max(axis=0)
 
 
 def drive(frames, samplerate):
-    """A 90 Hz burst, silence, noise and a full-scale step."""
     volts = 2.5 * np.sin(math.tau * 90.0 * (np.arange(frames) / samplerate))
     third = frames // 3
     volts[third : 2 * third] = 0.0

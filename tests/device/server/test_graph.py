@@ -1,8 +1,10 @@
-"""PipeWire's graph from what `pw-dump` prints, and the requests that keep our links in it."""
+"""PipeWire's graph from its own programs: `pw-dump`, `pw-cli`, `pw-top`; how our links are kept."""
 
 import json
 import os
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,11 +15,11 @@ from hypothesis import strategies as st
 from device.server.graph import Graph, LinkPair
 from device.server.graph_watch import Announcements, Documents
 from device.server.link_keeper import HOLDS_S, PAUSED_S, RETRY_S, LinkKeeper
+from device.server.node_errors import INTERVAL_S, NodeErrors, errors_in
 from tests.support.graphs import Item, desktop, gone, link, node, play, port
 
 
 def one_link(*pairs: LinkPair, made: Mapping[str, str] | None = None) -> Any:
-    """One link from a monitor of `desk` to the chain's tap."""
     known = {"links": lambda _: frozenset(pairs or ((13, 41),)), "made_nodes": lambda: made or {}}
     return SimpleNamespace(nodes=lambda _: {40}, **known)
 
@@ -137,7 +139,6 @@ def latency(direction: str, **units: float) -> Item:
 
 
 def declaring(*latencies: Item) -> Graph:
-    """Sinks of which `desk` declares a latency at its first port."""
     graph, left = desktop(), port(11, 10, "playback_FL")
     left["info"]["params"] = {"Latency": list(latencies)}
     graph.apply([left])
@@ -153,17 +154,13 @@ def test_a_sinks_delay_is_the_sum_of_cycles_frames_and_time_of_its_latest_port()
     assert graph.declared_s("dac", 960, 48_000) == 0.0
     assert graph.declared_s("nowhere", 960, 48_000) is None
     assert declaring(latency("Input", minNs=-5e7, maxNs=-5e7)).declared_s("desk", 1, 1) == -0.05
-
-
-def test_another_latency_is_no_change_of_the_wiring():
     graph, left = declaring(), port(11, 10, "playback_FL")
     left["info"]["params"] = {"Latency": [latency("Input", minNs=1e6, maxNs=1e6)]}
-    assert not graph.apply([left])
+    assert not graph.apply([left])  # no change of the wiring
     assert graph.declared_s("desk", 1, 1) == 1e-3
 
 
 def test_of_all_parameters_only_the_latencies_are_read():
-    """As `pw-dump` prints them."""
     one = port(11, 10, "playback_FL")
     others = {"EnumFormat": [{"mediaType": "audio"}], "ProcessLatency": []}
     one["info"]["params"] = {"Latency": [latency("Input", maxNs=5)], **others}
@@ -270,3 +267,56 @@ def test_another_session_manager_is_known_by_its_serial_number_as_ids_come_back(
         assert graph.session_manager == serial
     graph.apply([gone(5)])
     assert graph.session_manager is None
+
+
+LISTING = """\
+S   ID  QUANT   RATE    WAIT    BUSY   W/Q   B/Q  ERR FORMAT           NAME
+S   51      0      0    ---     ---   ---   ---     0                  cushion-9-1.tap
+S   ID  QUANT   RATE    WAIT    BUSY   W/Q   B/Q  ERR FORMAT           NAME
+R   26   1024  48000 123.4us   6.5us  0.01  0.00    7     F32P 2 48000 desktop
+R   51   1024  48000  69.7us  24.8us  0.00  0.00   18     F32P 2 48000  + cushion-9-1.tap
+R   52   1024  48000  61.7us  22.8us  0.00  0.00    2     F32P 1 48000  + cushion-9-1.vibration
+R   53   1024  48000  61.7us  22.8us  0.00  0.00    4     F32P 1 48000  + a program of two words
+"""
+NAMES = ("cushion-9-1.tap", "cushion-9-1.vibration")
+
+
+def looked(errors: NodeErrors, *times_s: float, names: tuple[str, ...] = NAMES) -> None:
+    for now_s in times_s:
+        errors.update(names, now_s)
+        end_s = time.monotonic() + 10.0
+        while errors.process is not None and time.monotonic() < end_s:
+            os.sched_yield()
+            errors.update(names, now_s)
+
+
+@pytest.fixture
+def pw_top(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Make a program of that name that runs this text."""
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+
+    def make(text: str) -> None:
+        (tmp_path / "pw-top").write_text(f"#!/bin/sh\n{text}\n")
+        (tmp_path / "pw-top").chmod(0o755)
+
+    return make
+
+
+def test_each_stream_has_its_count_and_that_of_a_chain_that_has_gone_is_kept(pw_top):
+    assert errors_in(LISTING, NAMES) == dict(zip(NAMES, (18, 2), strict=True))
+    assert errors_in("", NAMES) == {}
+    errors = NodeErrors()
+    assert errors.count(".tap") is None
+    pw_top(f"cat <<'END'\n{LISTING}END")
+    looked(errors, 0.0)
+    pw_top(f"cat <<'END'\n{LISTING.replace('-9-1', '-9-2')}END")
+    looked(errors, INTERVAL_S, names=tuple(name.replace("-9-1", "-9-2") for name in NAMES))
+    assert (errors.count(".tap"), errors.count(".vibration")) == (36, 4)
+
+
+def test_a_program_without_a_batch_mode_is_asked_once_and_the_counts_stay_unknown(pw_top, tmp_path):
+    pw_top(f"echo asked >> {tmp_path / 'log'}; exit 255")
+    errors = NodeErrors()
+    looked(errors, 0.0, INTERVAL_S, 2.0 * INTERVAL_S)
+    assert errors.count(".tap") is None
+    assert (tmp_path / "log").read_text() == "asked\n"

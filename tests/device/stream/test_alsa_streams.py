@@ -1,4 +1,4 @@
-"""What goes to a card bit by bit, through PortAudio: the card is a file that ALSA writes."""
+"""Float frames as bytes of a card, and what goes there through PortAudio: here a file of ALSA."""
 
 import time
 from collections.abc import Iterator
@@ -6,13 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from audioflinger_hook.mixer.pcm import PcmFormat, decode
 from audioflinger_hook.mixer.pcm import encode as mixer_encode
 from device.errors import LostError, NotFoundError
 from device.stream import portaudio
 from device.stream.pcms import CardDevice, Pcm, PcmConfig, ServerDevice
-from device.stream.sample_format import SampleFormat
+from device.stream.sample_format import Encoder, SampleFormat
 from device.stream.streams import PlaybackStream
 from device.units import Float32Array
 from tests.support.alsa_files import BLOCK_S, ToFile, portaudio_with, until
@@ -90,20 +93,57 @@ def test_nothing_but_silence_goes_out_until_the_stream_is_audible(pcm, tmp_path)
     assert not any((tmp_path / "card.raw").read_bytes())
 
 
-def test_a_card_that_is_not_there_is_an_error_that_says_what_may_be_wrong(pcm):
+def test_of_a_missing_card_it_is_said_what_may_be_wrong_and_of_a_missing_plugin_no_device_is_blamed(
+    pcm, monkeypatch
+):
+    assert CardDevice(3, 1).definition == "type hw card 3 device 1"  # with nothing in between
+    assert ServerDevice("a").definition == 'type pulse device "a"'
     pcm.target = CardDevice(31, 2)
     words = "cannot open hw:31,2 for playback.*2 channels at 48000 Hz in S16_LE.*card was unplugged"
     with pytest.raises(LostError, match=words):
         PlaybackStream(pcm, RATE, 2, lambda *_: None, sample_format=SampleFormat.S16)
-
-
-def test_what_is_missing_is_named_and_not_the_device_blamed(pcm, monkeypatch):
     pcm.target = ServerDevice("desktop", "unix:/nowhere")
     monkeypatch.setattr(portaudio, "missing_plugin", lambda: "install its plugin")
     with pytest.raises(NotFoundError, match=r"^install its plugin$"):
         PlaybackStream(pcm, RATE, 2, lambda *_: None)
 
 
-def test_a_card_is_opened_without_anything_in_between():
-    assert CardDevice(3, 1).definition == "type hw card 3 device 1"
-    assert ServerDevice("a").definition == 'type pulse device "a"'
+integers = pytest.mark.parametrize("sample_format", [*FORMATS][1:])
+samples = (
+    st.floats(-4.0, 4.0, width=32)
+    | st.floats(-(2.0**-20), 2.0**-20, width=32)
+    | st.sampled_from([1.0, -1.0, -0.0, np.inf, -np.inf, np.nan])
+)
+blocks = arrays(np.float32, st.tuples(st.integers(0, 9), st.just(3)), elements=samples)
+
+
+@integers
+@given(frames=blocks)
+def test_cards_and_the_mixers_sinks_get_the_same_bytes(sample_format, frames):
+    expected = mixer_encode(frames, FORMATS[sample_format])
+    assert Encoder(sample_format, 3, 4).encode(frames) == expected
+
+
+@pytest.mark.sweep
+@integers
+@given(frames=blocks)
+def test_what_was_encoded_is_what_the_bytes_stand_for_and_gives_them_again(sample_format, frames):
+    encoder = Encoder(sample_format, 3, 4)
+    stored, meant = encoder.encode(frames), encoder.decode_last()
+    assert meant.dtype == np.float32
+    assert not meant.flags.writeable
+    np.testing.assert_array_equal(meant, decode(stored, FORMATS[sample_format], 3))
+    assert encoder.encode(meant) == stored
+
+
+@integers
+def test_blocks_do_not_depend_on_those_before_them(sample_format):
+    encoder = Encoder(sample_format, 2, 8)
+    first = np.linspace(-1.0, 1.0, 16, dtype=np.float32).reshape(8, 2)
+    stored, meant = encoder.encode(first), encoder.decode_last()
+    kept = meant.copy()
+    for frames in (3, 8, 0):
+        encoder.encode(np.zeros((frames, 2), np.float32))
+        assert not encoder.decode_last().any()
+    np.testing.assert_array_equal(meant, kept)
+    assert encoder.encode(first) == stored

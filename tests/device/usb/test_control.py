@@ -1,21 +1,24 @@
-"""Volume, mute and rate of a device: what is sent and understood; never louder than meant."""
-
+import array
 import errno
 import math
 import struct
+import sys
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import usb.backend
 import usb.core
 from hypothesis import given
 from hypothesis import strategies as st
+from usb.backend import libusb1
 
-from device.errors import NoUsbDeviceError, UsageError, UsbAccessError
+from device.errors import NoLibusbError, NoUsbDeviceError, UsageError, UsbAccessError
 from device.usb import requests
-from device.usb.control import ControlState, UsbControl
+from device.usb.control import ControlState, UsbControl, libusb, open_device, read_descriptors
 from device.usb.descriptors import RateRange, parse_configuration, playback_formats
 from device.usb.requests import VolumeRange
 from tests.support.usb_shapes import async_dac, controls_of, headset_adapter, plain_dac
@@ -34,9 +37,7 @@ class Wire:
     dac: SoftwareDac
     error: int = 0
 
-    def ctrl_transfer(
-        self, request_type: int, request: int, value: int, index: int, data: Any, timeout: int
-    ) -> bytes | int:
+    def ctrl_transfer(self, request_type, request, value, index, data, timeout) -> bytes | int:
         assert timeout > 0
         if self.error:
             raise usb.core.USBError("no", errno=self.error)
@@ -54,14 +55,6 @@ def rig(uac: int, **options: Any) -> tuple[UsbControl, SoftwareDac]:
     formats = playback_formats(parse_configuration(configuration))
     dac = SoftwareDac(b"", uac, [], **(controls_of(configuration) | options))
     return UsbControl(DEVICE, formats[0], Wire(dac)), dac
-
-
-@both
-def test_the_volume_is_read_in_db_with_its_range(uac):
-    control, _ = rig(uac)
-    for channel in control.volume_channels:
-        assert control.volume_db(channel) == -8.0
-        assert control.volume_range(channel) == VolumeRange(-64.0, 0.0, 0.5)
 
 
 @both
@@ -138,8 +131,11 @@ def test_a_device_that_goes_between_set_and_read_back_was_pulled_out(uac):
 
 
 @both
-def test_mute_and_rate_are_read_and_set(uac):
+def test_volume_with_its_range_mute_and_rate_are_read_and_set(uac):
     control, dac = rig(uac)
+    for channel in control.volume_channels:
+        assert control.volume_db(channel) == -8.0
+        assert control.volume_range(channel) == VolumeRange(-64.0, 0.0, 0.5)
     for channel in control.mute_channels:
         assert not control.muted(channel)
         control.set_muted(channel, True)
@@ -200,3 +196,109 @@ def test_answers_of_any_bytes_are_a_value_or_an_error_of_the_device(raw, which):
     ]
     with suppress(UsbAccessError):
         read[which](raw)
+
+
+DESCRIPTOR = bytes([18, 1, 0, 2, 0, 0, 0, 64, 0x8C, 0x0D, 0x14, 0, 0, 1, 1, 2, 3, 1])
+CONFIGURATION = bytes([9, 2, 12, 0, 1, 1, 0, 0x80, 50, 3, 0x24, 1])
+
+
+@dataclass(eq=False)
+class Backend(usb.backend.IBackend):  # type: ignore[misc]
+    """One device, and the error that opening it or asking it ends with."""
+
+    opening: int | None = None
+    asking: int | None = None
+    here: bool = True
+    product: int = 0x14
+    closed: int = 0
+
+    def enumerate_devices(self) -> Iterator[int]:
+        return iter([1] if self.here else [])
+
+    def get_device_descriptor(self, dev: int) -> SimpleNamespace:
+        place = {"bus": 1, "address": 5, "port_number": 2, "port_numbers": (2,), "speed": 3}
+        names = "bLength bDescriptorType bcdUSB bDeviceClass bDeviceSubClass bDeviceProtocol "
+        names += "bMaxPacketSize0 idVendor idProduct bcdDevice iManufacturer iProduct "
+        names += "iSerialNumber bNumConfigurations"
+        fields = struct.unpack("<BBHBBBBHHHBBBB", DESCRIPTOR)
+        known = dict(zip(names.split(), fields, strict=True)) | {"idProduct": self.product}
+        return SimpleNamespace(**known, **place)
+
+    def open_device(self, dev: int) -> int:
+        if self.opening is not None:
+            raise usb.core.USBError("Access denied", -3, self.opening)
+        return 1
+
+    def close_device(self, dev_handle: int) -> None:
+        self.closed += 1
+
+    def ctrl_transfer(self, handle, kind, request, value, index, buffer, timeout) -> int:
+        if self.asking is not None:
+            raise usb.core.USBError("Pipe error", -9, self.asking)
+        setup = struct.pack("<BBHHH", kind, request, value, index, len(buffer))
+        answer = SoftwareDac(DESCRIPTOR + CONFIGURATION, 1, []).control(setup, b"") or b""
+        buffer[: len(answer)] = array.array("B", answer)
+        return len(answer)
+
+
+@pytest.fixture(autouse=True)
+def _chosen_anew() -> Iterator[None]:
+    libusb.cache_clear()
+    yield
+    libusb.cache_clear()
+
+
+@pytest.fixture
+def device(tree):
+    tree.plug(manufacturer=None, product="DAC", serial=None, descriptors=None)
+    return tree.only
+
+
+def chosen(monkeypatch: pytest.MonkeyPatch, backend: object) -> None:
+    monkeypatch.setattr(libusb1, "get_backend", lambda: backend)
+
+
+@pytest.mark.parametrize(
+    ("backend", "error", "words"),
+    [
+        (None, NoLibusbError, r"no libusb: .* sudo apt install libusb-1.0-0"),
+        (Backend(opening=errno.EACCES), UsbAccessError, r'errno 13.*--udev.*TAG\+="uaccess"'),
+        (Backend(asking=errno.ENODEV), NoUsbDeviceError, "001/005 was pulled out"),
+        (Backend(asking=errno.EBUSY), UsbAccessError, "001/005 is held by a driver"),
+        (Backend(asking=errno.ETIMEDOUT), UsbAccessError, "does not answer within 500 ms"),
+        (Backend(asking=errno.EIO), UsbAccessError, "001/005 does not answer correctly"),
+        (Backend(here=False), NoUsbDeviceError, "libusb does not see 'DAC' at .*001/005"),
+        (Backend(product=0xDAC1), NoUsbDeviceError, "libusb does not see 'DAC'"),  # another one
+    ],
+)
+def test_a_device_that_cannot_be_read_is_told_with_why(device, monkeypatch, backend, error, words):
+    chosen(monkeypatch, backend)
+    with pytest.raises(error, match=words):
+        read_descriptors(device)
+    assert backend is None or backend.closed == (backend.asking is not None)
+
+
+def test_without_pyusb_the_error_says_what_to_install(device, monkeypatch):
+    monkeypatch.setitem(sys.modules, "usb.backend", None)
+    with pytest.raises(NoLibusbError, match=r"PyUSB is not installed; .*haptic-cushion\[live\]"):
+        open_device(device)
+
+
+def test_libusb_is_looked_for_until_it_is_there_and_then_no_more(monkeypatch):
+    answers = iter([None, "libusb"])
+    monkeypatch.setattr(libusb1, "get_backend", lambda: next(answers))
+    with pytest.raises(NoLibusbError):
+        libusb()
+    assert [libusb(), libusb()] == ["libusb", "libusb"]
+
+
+def test_what_sys_has_is_not_asked_of_the_device(tree, monkeypatch):
+    tree.plug(serial="S", descriptors=DESCRIPTOR)
+    chosen(monkeypatch, None)
+    assert read_descriptors(tree.only) == DESCRIPTOR
+
+
+def test_descriptors_come_from_the_device_as_they_would_lie_in_sys(device, monkeypatch):
+    backend = Backend()
+    chosen(monkeypatch, backend)
+    assert (read_descriptors(device), backend.closed) == (DESCRIPTOR + CONFIGURATION, 1)

@@ -1,13 +1,18 @@
-"""Files that people send, raw or as text of lsusb -v, give the bytes that they were made from."""
-
+import gc
+import random
+import resource
 import textwrap
+import time
+from collections.abc import Iterator
 from contextlib import suppress
 
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
 
-from device.usb.descriptors import DescriptorError, hex_lines, parse_dump, parse_whole
+from device.usb import descriptors
+from device.usb.descriptors import DescriptorError, parse_configuration, parse_dump, parse_whole
+from device.usb.descriptors.dump import parse_hex
 from tests.support import usb_builder as usb
 from tests.support.usb_shapes import SHAPES
 
@@ -123,7 +128,9 @@ def test_a_raw_file_is_taken_as_it_is(shape):
 
 def test_a_description_is_read_by_its_bytes_and_names_of_fields_in_comments_are_none():
     raws = (usb.device() + SHAPES["composite"], SHAPES["async_dac"])
-    text = "".join("\n".join(["device 1", "bytes:", *hex_lines(raw), "", ""]) for raw in raws)
+    text = "".join(
+        "\n".join(["device 1", "bytes:", *descriptors.hex_lines(raw), "", ""]) for raw in raws
+    )
     assert parse_dump(text.encode()) == raws
     raw = usb.device()
     text = f"{{ 0x12, // bLength\n 0x01, /* bDescriptorType 1 */\n {raw[2:].hex(' ')} }}"
@@ -152,3 +159,259 @@ def test_no_text_whatever_raises_anything_else(changes):
     with suppress(DescriptorError):
         for raw in parse_dump(content):
             parse_whole(raw)
+
+
+BYTES = bytes.fromhex("09026d000301 00a0320904 000000 0101 00 7c23 2f2a 3b")
+
+DUMPS = {
+    "pairs": "09 02 6D 00 03 01 00 A0 32\n09 04 00 00 00 01 01 00\n\n7c 23 2f 2a 3b\n",
+    "xxd of a part": (
+        "00000012: 0902 6d00 0301 00a0 3209 0400 0000 0101  ..m.....2.......\n"
+        "00000022: 007c 232f 2a3b                           .|#/*;\n"
+    ),
+    "od -t x1": (
+        "0000000 09 02 6d 00 03 01 00 a0 32 09 04 00 00 00 01 01\n"
+        "0000020 00 7c 23 2f 2a 3b\n"
+        "0000026\n"
+    ),
+    "od -A x -t x1": (
+        "000000 09 02 6d 00 03 01 00 a0 32 09 04 00 00 00 01 01\n000010 00 7c 23 2f 2a 3b\n000016\n"
+    ),
+    "lsusb": (
+        "  ** UNRECOGNIZED:  09 02 6d 00 03 01 00 a0 32\n"
+        "  ** UNRECOGNIZED:  09 04 00 00 00 01 01 00\n"
+        "  Junk at descriptor end: 7c 23 2f 2a 3b\n"
+    ),
+    "a C array": (
+        "{ 0x09, 0x02, 0x6d, 0x00, 0x03, 0x01, 0x00, 0xa0, 0x32, // configuration: 2 interfaces\n"
+        "  /* interface 0: control\n     on */ 0x09, 0x04, 0x00, 0x00, 0x00, 0x01, 0x01,\n"
+        "  0x00, 0x7C, 0x23, 0x2F, 0x2A, 0x3B }\n"
+    ),
+    "a Python string": r"\x09\x02\x6d\x00\x03\x01\x00\xa0\x32\x09\x04" + r"\x00" * 3 + "\n"
+    r"\x01\x01\x00\x7c\x23\x2f\x2a\x3b",
+    "with comments": (
+        "# the configuration of my DAC\n09 02 6d 00 03 01 00 a0 32 ; self powered\n"
+        "09 04 00 00 00 01 01 00 # control\n7c 23 2f 2a 3b /* what is this? */\n"
+        "/* the | end */\n/* the end"
+    ),
+}
+
+
+@pytest.mark.parametrize("dump", DUMPS)
+def test_a_dump_gives_the_bytes_that_it_shows(dump):
+    assert parse_hex(DUMPS[dump]) == BYTES
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "hex dump: it has no bytes; needed: two hexadecimal digits a byte"),
+        ("# nothing\n", "it has no bytes"),
+        ("09 02\n09 0", "hex dump, line 2: '0' is no byte; needed: two hexadecimal digits a byte"),
+        ("09 0g", "line 1: '0g' is no byte"),
+        ("/* 1\n2 */\nzz", "line 3: 'zz' is no byte"),
+        ("00000000: 0902\n00000010: 0904", "0x10 instead of 0x2; bytes before it are missing"),
+        ("00000000: 0902\n00000001: 0904", "bytes before it are too many"),
+        ("00000000  09 02\n*\n00000010", "line 2: '*' marks omitted lines"),
+        ("00000000  09 02\n00000010", "line 2: the address is 0x10 instead of 0x2"),
+        ("0000000 0209 006d", "shows swapped bytes; use od -t x1"),
+        ("0000009 02 03", "line 1: '0000009' is not an octal address"),
+    ],
+)
+def test_what_is_no_dump_is_refused_with_its_line(text, reason):
+    with pytest.raises(DescriptorError) as caught:
+        parse_hex(text)
+    assert reason in str(caught.value)
+
+
+def rows(raw):
+    for at in range(0, len(raw), 16):
+        row = raw[at : at + 16]
+        yield at, row, "".join(chr(byte) if 32 <= byte < 127 else "." for byte in row)
+
+
+def xxd(raw):
+    return "\n".join(f"{at:08x}: {row.hex(' ', -2):<39}  {shown}" for at, row, shown in rows(raw))
+
+
+def hexdump(raw):
+    halves = ((at, row[:8].hex(" "), row[8:].hex(" "), shown) for at, row, shown in rows(raw))
+    lines = (f"{at:08x}  {left:<23}  {right:<23}  |{shown}|\n" for at, left, right, shown in halves)
+    return "".join(lines) + f"{len(raw):08x}"
+
+
+@given(st.binary(min_size=1, max_size=80))
+def test_any_bytes_come_back_from_any_dump(raw):
+    for text in (xxd(raw), hexdump(raw), raw.hex(), ", ".join(f"0x{byte:02x}" for byte in raw)):
+        assert parse_hex(text) == raw
+
+
+def said_of(text):
+    """The error, "" where there are bytes."""
+    try:
+        assert parse_hex(text)
+    except DescriptorError as error:
+        return str(error)
+    return ""
+
+
+@given(st.text(st.sampled_from("09aAfF gx:;#/*|{},\\\n\t0") | st.characters(), max_size=60))
+def test_no_text_gives_anything_but_bytes_or_an_error_of_ours(text):
+    assert said_of(text)[:8] in ("", "hex dump")
+
+
+@pytest.mark.sweep
+@pytest.mark.parametrize("part", ["z", "/*", "0", "# ", "*/", "0x", "a:", " ", "\\x"])
+def test_a_line_of_a_million_signs_takes_no_longer_than_a_line(part):
+    assert len(said_of(part * (1_000_000 // len(part)))) < 300
+
+
+WHOLE = tuple(SHAPES.values())
+PLACES = {raw: [raw.index(part) for part in usb.split(raw)] for raw in WHOLE}
+
+INPUTS_EACH = 100  # of one seed; 10 000 together
+SOAK_INPUTS = 1_000_000
+
+
+def exercise(raw: bytes) -> bool:
+    """Read and play bytes; return whether they begin with a configuration."""
+    try:
+        configuration = parse_configuration(raw)
+    except DescriptorError:
+        return False
+    assert configuration.raw == raw
+    descriptors.playback_formats(configuration)
+    whole = parse_whole(raw)
+    assert b"".join(one.raw for one in whole.configurations) + whole.rest == whole.raw == raw
+    whole.active(None)
+    return True
+
+
+def mutated(chance: random.Random) -> bytes:
+    """A device's bytes with one to four changes, such as firmware, cables and files make them."""
+    shape = chance.choice(WHOLE)
+    raw = bytearray(shape)
+    for _ in range(chance.randint(1, 4)):
+        at = chance.randrange(len(raw) + 1)
+        to = min(len(raw), at + chance.randrange(40))
+        match chance.randrange(4):
+            case 0 if at < len(raw):
+                changed = raw[at] ^ 1 << chance.randrange(8), chance.randrange(256)
+                raw[at] = chance.choice((0, 1, 2, 0x7F, 0x80, 0xFF, *changed))
+            case 1:  # a part is missing, is there twice, or is another one
+                other = chance.choice(WHOLE)[chance.randrange(200) :]
+                made = chance.randbytes(chance.randrange(12))
+                put = chance.choice((b"", b"", 2 * raw[at:to], other[: chance.randrange(60)], made))
+                raw[at : chance.choice((at, to, to, len(raw)))] = put
+            case 2:  # bLength, bDescriptorType, bDescriptorSubtype, an id or a count
+                place = chance.choice(PLACES[shape]) + chance.choice((0, 0, 0, 1, 2, 3, 4, 5))
+                if place < len(raw):
+                    raw[place] = chance.randrange(256) if chance.random() < 0.3 else place % 24
+            case _:  # two descriptors change places
+                parts = usb.split(shape)
+                first, second = chance.randrange(len(parts)), chance.randrange(len(parts))
+                parts[first], parts[second] = parts[second], parts[first]
+                raw = bytearray(b"".join(parts))
+        raw = raw or bytearray(shape)
+    return bytes(raw)
+
+
+def made_up(chance: random.Random) -> bytes:
+    """Descriptors of plausible types, of any length and content, behind a right beginning."""
+    parts = []
+    for _ in range(chance.randrange(30)):
+        descriptor_type = chance.choice((0x04, 0x05, 0x0B, 0x24, 0x24, 0x24, 0x25, 0x30, 0x41))
+        body = bytearray(chance.choices(range(16), k=chance.randrange(24)))
+        if descriptor_type == 0x04 and len(body) > 5:
+            body[3:6] = 1, chance.choice((1, 2, 3)), chance.choice((0, 0x20, 0x30))
+        parts.append(usb.descriptor(descriptor_type, bytes(body)))
+    return usb.configuration_of(b"".join(parts), chance.randrange(4))
+
+
+def inputs(seed: int) -> Iterator[bytes]:
+    """Endlessly one of each kind, the same for the same seed."""
+    chance = random.Random(seed)
+    while True:
+        yield mutated(chance)
+        yield mutated(chance)
+        yield made_up(chance)
+        yield chance.randbytes(chance.randrange(300))
+
+
+@settings(max_examples=100, suppress_health_check=[HealthCheck.too_slow])
+@given(st.integers(0, 2**32 - 1))
+def test_a_damaged_device_gives_a_configuration_or_an_error_of_ours(seed):
+    for _, raw in zip(range(INPUTS_EACH), inputs(seed), strict=False):
+        try:
+            exercise(raw)
+        except BaseException:
+            note(f"raw: {raw.hex()}")
+            raise
+
+
+@given(st.binary(max_size=400))
+def test_any_bytes_behind_a_right_beginning_give_a_configuration(raw):
+    exercise(raw)
+    assert exercise(usb.configuration_of(raw, 1))
+
+
+def test_the_changes_reach_most_of_what_can_be_wrong():
+    """Else the tests above would pass without having looked anywhere."""
+    said = set()
+    for _, raw in zip(range(2_000), inputs(1), strict=False):
+        with suppress(DescriptorError):
+            problems = parse_configuration(raw).problems
+            said |= {problem.split(": ", 1)[1].partition(" is ")[0] for problem in problems}
+    fields = {"bLength", "bNumInterfaces", "bNumEndpoints", "bTerminalLink", "bNrInPins"}
+    assert fields | {"bInCollection", "bSamFreqType", "bInterfaceProtocol"} <= said
+
+
+def body_of_64_kb(part: bytes) -> bytes:
+    control = usb.control(0, usb.UAC2, usb.header_2())
+    return usb.configuration_of(control + part * (65_000 // len(part)), 1)
+
+
+def chain() -> bytes:
+    """The longest way through a function, taken by a thousand alternate settings."""
+    units = b"".join(usb.feature_2(i, i + 1, [0, 0]) for i in range(1, 254))
+    ends = usb.output_2(255, usb.SPEAKER, 1, 1) + usb.input_2(254, usb.STREAMING_TERMINAL, 0, 1, 0)
+    parts = (usb.general_2(254, 1, 0), usb.format_2(2, 16), usb.endpoint(1, 5, 100))
+    settings_of_1 = [usb.streaming(1, i % 256, usb.UAC2, *parts) for i in range(1_000)]
+    control = usb.control(0, usb.UAC2, usb.header_2(units, ends))
+    return usb.configuration_of(control + b"".join(settings_of_1), 2)
+
+
+WORST = {
+    "shortest descriptors": body_of_64_kb(b"\x02\x24"),
+    "associations of all": body_of_64_kb(usb.association(0, 255)),
+    "interfaces": body_of_64_kb(usb.interface(0, 0, (1, 1, 0))),
+    "streams": body_of_64_kb(usb.streaming(1, 1, usb.UAC2, usb.general_2(9, 2, 3))),
+    "endpoints": body_of_64_kb(usb.endpoint(1, 5, 100)),
+    "lists of all": body_of_64_kb(usb.class_specific(1, bytes([0, 1, 0, 0, 60, *range(60)]))),
+    "selectors of all": body_of_64_kb(usb.selector_2(5, range(1, 246))),
+    "a chain of units": chain(),
+    "far too much": usb.configuration() + bytes([255]) * 10_000_000,
+}
+
+
+@pytest.mark.sweep
+@pytest.mark.parametrize("worst", WORST)
+def test_the_worst_that_64_kilobytes_can_hold_takes_a_moment(worst):
+    before_s = time.thread_time()
+    assert exercise(WORST[worst])
+    # Read twice and searched; a walk that is not bounded takes minutes.
+    assert time.thread_time() - before_s < 3.0
+
+
+@pytest.mark.soak
+def test_a_million_inputs_are_read_quickly_and_leave_nothing_behind():
+    slowest_s = before_kb = 0.0
+    for number, raw in zip(range(SOAK_INPUTS), inputs(seed=1), strict=False):
+        if number == SOAK_INPUTS // 10:
+            gc.collect()
+            slowest_s, before_kb = 0.0, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        before_s = time.thread_time()
+        exercise(raw)
+        slowest_s = max(slowest_s, time.thread_time() - before_s)
+    assert slowest_s < 0.05
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 10_000

@@ -1,5 +1,3 @@
-"""USB device, sound card, ALSA name and a server's sink: each leads to the others or to nothing."""
-
 from dataclasses import replace
 
 import pytest

@@ -25,7 +25,6 @@ NO_SUPERUSER = ("setpriv", "--bounding-set=-dac_override,-dac_read_search", "--i
 
 
 def why_not() -> str:
-    """What is missing for these tests, "" for nothing."""
     if not shutil.which("umockdev-wrapper"):
         return "umockdev is missing; run tools/fetch_usb_mock.sh"
     if not shutil.which("lsusb"):
@@ -63,14 +62,12 @@ def cushion(scene: list[dict[str, Any]], *arguments: str, log: Path | None = Non
 
 
 def document(scene: list[dict[str, Any]], *arguments: str, log: Path | None = None) -> Any:
-    """What the command prints with --json."""
     done = cushion(scene, *arguments, "--json", log=log)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
 
 def program(device: dict[str, Any], text: str, *arguments: str) -> Any:
-    """What a program of Python prints as JSON."""
     done = within([device], sys.executable, "-c", text, *arguments)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)

@@ -106,7 +106,6 @@ class Plugged:
             self.testbed.remove_device(f"/sys{path}")
 
     def _text(self) -> str:
-        """The device as umockdev reads it."""
         raw = self.dac.descriptors
         vendor, product = (int.from_bytes(raw[at : at + 2], "little") for at in (8, 10))
         node = f"N: {self.node.removeprefix('/dev/')}={raw.hex().upper()}"
