@@ -4,7 +4,6 @@ import asyncio
 import os
 import queue
 import threading
-import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, Literal, NamedTuple
@@ -112,13 +111,13 @@ class PageAnswers:
         """Return when the page is open and not paused."""
         self._check()
         while self._screen["paused"] or not self._server.clients:
-            time.sleep(LOOK_S)
+            self._thread.join(LOOK_S)
             self._check()
 
     def close(self) -> None:
         """Stop serving the page, which keeps its last screen. May be repeated."""
         if self._thread.is_alive():
-            time.sleep(LAST_S)
+            self._thread.join(LAST_S)
             with suppress(RuntimeError):  # the loop is closed
                 self._loop.call_soon_threadsafe(self._serving.cancel)
             self._thread.join()

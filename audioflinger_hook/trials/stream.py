@@ -5,7 +5,7 @@ default output. While the sink exists, the daemon plays its rear channel in plac
 """
 
 import math
-import time
+import threading
 from collections.abc import Mapping, Set
 from contextlib import ExitStack, closing
 
@@ -85,7 +85,7 @@ class TrialStream:
             while self._connection.snapshot().sink(TRIALS):
                 if (looks := looks + 1) > GONE_LOOKS:
                     raise UsageError("another program plays trials; end it first")
-                time.sleep(GONE_LOOK_S)
+                threading.Event().wait(GONE_LOOK_S)
             self._watch = stack.enter_context(closing(GraphWatch(lambda: None)))
             self._watch.keeper.wiring = self
             self._open = stack.pop_all()
