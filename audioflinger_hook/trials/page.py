@@ -111,13 +111,13 @@ class PageAnswers:
         """Return when the page is open and not paused."""
         self._check()
         while self._screen["paused"] or not self._server.clients:
-            threading.Event().wait(LOOK_S)
+            self._thread.join(LOOK_S)
             self._check()
 
     def close(self) -> None:
         """Stop serving the page, which keeps its last screen. May be repeated."""
         if self._thread.is_alive():
-            threading.Event().wait(LAST_S)
+            self._thread.join(LAST_S)
             with suppress(RuntimeError):  # the loop is closed
                 self._loop.call_soon_threadsafe(self._serving.cancel)
             self._thread.join()
