@@ -416,30 +416,21 @@ def test_a_film_is_made_fast_and_can_be_cancelled_and_live_sound_is_felt_soon(
 PLAIN = "void new ConstantSourceNode(window.plain = new AudioContext()).connect(plain.destination)"
 BEHIND = """[window.cushion.context, window.plain].map(
   ({ currentTime }) => performance.now() - 1000 * currentTime)"""
-STEP_S, CALM_S, LONGEST_S = 10, 1_200, 2_400
-MISSED_MS, BUSY_MS = 2.0, 5.0  # a quantum has 2.7 or 2.9 ms; BEHIND is read to 1 ms, plain to 3 ms
+QUANTUM_MS = 2.6
 
 
 @pytest.mark.soak
-def test_no_quantum_is_missed_in_twenty_calm_minutes(site, chromium):
-    """Steps in which the machine stops even a context without a worklet do not count."""
-    calm_s, passed_s, lost_ms = 0, 0, []
+def test_no_quantum_is_missed_in_twenty_minutes(site, chromium):
+    """On a calm machine; a busy one stops a context without a worklet, too."""
     with opened(chromium, site) as page:
         page.click("[data-scene=engine]")
         page.evaluate(LOOP)
         page.evaluate(PLAIN)
         page.wait_for_timeout(5_000)
-        before = np.min([page.evaluate(BEHIND) for _ in range(200)], axis=0)
-        while calm_s < CALM_S and passed_s < LONGEST_S:
-            page.wait_for_timeout(1e3 * STEP_S)
-            now = np.min([page.evaluate(BEHIND) for _ in range(200)], axis=0)
-            (own_ms, plain_ms), before, passed_s = now - before, now, passed_s + STEP_S
-            if plain_ms < BUSY_MS:
-                calm_s += STEP_S
-                lost_ms += [round(own_ms, 1)] if own_ms > MISSED_MS else []
-            else:
-                print(f"busy at {passed_s} s: {own_ms:.1f} ms, without a worklet {plain_ms:.1f} ms")
-    print(f"lost in {calm_s} calm s of {passed_s} s: {lost_ms} ms")
-    if calm_s < CALM_S:
+        first = np.min([page.evaluate(BEHIND) for _ in range(200)], axis=0)
+        page.wait_for_timeout(1_200_000)
+        own_ms, plain_ms = np.min([page.evaluate(BEHIND) for _ in range(200)], axis=0) - first
+    print(f"lost in 20 minutes: {own_ms:.2f} ms, without a worklet {plain_ms:.2f} ms")
+    if own_ms > QUANTUM_MS and plain_ms > QUANTUM_MS:
         pytest.skip("the machine is too busy for any sound of the browser")
-    assert lost_ms == []
+    assert own_ms <= QUANTUM_MS
