@@ -16,17 +16,9 @@ from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings
 from device.errors import UsageError, WriteError
 from device.values import Number
+from tests.support.data import text
 
-TEXT = """# My cushion.
-device = "haptic" # the one under the seat
-gain_db = -3.0 # the neighbours
-
-[transform] # tuned by hand
-threshold_hz = 8.0
-
-[[actuator]]
-channels = [0] # left
-"""
+TEXT = text("edited.toml")
 
 
 @pytest.fixture
@@ -46,20 +38,7 @@ def test_comments_and_order_stay_and_new_keys_are_added_where_they_belong() -> N
     assert [line for line in TEXT.splitlines() if line not in changed.splitlines()] == []
 
 
-RULES = """# Rules.
-
-[applications] # of all
-exclude = ["Chat"]
-
-# The game.
-[[application]] # by its name
-match = "super*" # all versions
-profile = "game" # early
-
-# Of the live run.
-[live]
-feel_calls_and_alerts = true
-"""
+RULES = text("edited-rules.toml")
 FIREFOX = RULE + "Firefox"
 TABLE = '\n[[application]]\nmatch = "Firefox"\nprofile = "music"\n'
 

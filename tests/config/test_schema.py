@@ -23,6 +23,7 @@ from device.drive import ActuatorSettings
 from device.errors import UsageError
 from device.values import Choice, Described, Number, Switch
 from tests.support.commands import call, refused
+from tests.support.data import table, text
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG_PAGE = ROOT / "docs/config.md"
@@ -32,57 +33,9 @@ EXAMPLES = [
     for text in re.findall(r"```toml\n(.*?)```", page.read_text(), re.DOTALL)
 ]
 
-MISTAKES = """\
-profil = "game"
-damping = "aut"
-gain_db = "loud"
-rig = 3
-tap = []
-block_frames = 300
-window_s = 0.05
-zzz = 1
-[aplications]
-include = ["a"]
-[transform]
-window_s = 9
-threshold = 0.3
-profile = "game"
-partials_max = 2.5
-band_low_hz = 400
-band_high_hz = 500
-loudness_db = 70
-follower_gate_db = 5
-[[actuator]]
-channels = [0, 0]
-delay_ms = true
-polarity == "normal"
-[[actuator]]
-sorce = "left"
-"""
+MISTAKES = text("mistakes.toml")
 
-EXPECTED = [
-    (1, "profil", '"game"', "is an unknown key", "profile, damping, ", "profile"),
-    (2, "damping", '"aut"', "is not known", "off, auto", "auto"),
-    (3, "gain_db", '"loud"', "is not a number", "-60 to 0 dB", ""),
-    (4, "rig", "3", "is not a name", "paper, consumer, or a file, NAME.toml", ""),
-    (5, "tap", "[]", "is an empty list", "default, sink:NAME", ""),
-    (6, "block_frames", "300", "is not known", "128, 256, 512, 1024 frames", ""),
-    (7, "window_s", "0.05", "is an unknown key", "profile, ", "window_s in [transform]"),
-    (8, "zzz", "1", "is an unknown key", "profile, ", ""),
-    (9, "aplications", "", "is an unknown section", "profile, damping, ", "[applications]"),
-    (12, "transform.window_s", "9", "is out of range", "0.01 to 0.2 s", ""),
-    (13, "transform.threshold", "0.3", "is an unknown key", "transform, ", "threshold_hz"),
-    (14, "transform.profile", '"game"', "is an unknown key", "", "profile at the top level"),
-    (15, "transform.partials_max", "2.5", "is not a whole number", "1 to 64", ""),
-    (17, "transform.band_high_hz", "500", "is under twice band_low_hz=400", "at least 800 Hz", ""),
-    (18, "transform.loudness_db", "70", "is out of range", "0 to 60 dB", ""),
-    (19, "transform.follower_gate_db", "5", "is no longer a key", "loudness_gate_db", ""),
-    (21, "actuator[1].channels", "[0, 0]", "names a channel twice", "each channel once", ""),
-    (22, "actuator[1].delay_ms", "true", "is not a number", "0 to 500 ms", ""),
-    (23, 'polarity == "normal"', "", "is not TOML", "key = value", ""),
-    (24, "actuator[2].channels", "", "is missing", "a list of channels", ""),
-    (25, "actuator[2].sorce", '"left"', "is an unknown key", "channels, source", "source"),
-]
+EXPECTED = table("mistakes-expected.toml")["expected"]
 
 
 def test_mistakes_of_every_kind_are_named_at_once(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from audioflinger_hook.service.status import Application, Endpoint
 from device.server.graph import Graph
 from tests.doctor.test_findings import CASES, HEALTHY, SERVER, STATUS
 from tests.support.commands import call
+from tests.support.data import text
 from tests.support.graphs import link, node, port
 from tests.support.snapshots import stream
 
@@ -144,16 +145,7 @@ def test_silence_is_said_and_not_measured_and_nothing_is_played_without_a_daemon
     assert measurement.measure(Facts()) == Delay(reason=reason)
 
 
-JOURNAL = """\
-2026-11-29T09:00:00+0000 cushion[12]: cushion: warning: the first of six
-2026-11-29T09:00:01+0000 cushion[12]: cushion: warning: a; b
-2026-11-29T09:00:02+0000 cushion[12]: cushion: running
-2026-11-29T09:00:02+0000 cushion[12]: cushion: warning: c
-2026-11-29T09:00:03+0000 cushion[12]: cushion: error: d: e
-2026-11-29T09:00:04+0000 systemd[1]: cushion.service: Failed with result 'exit-code'.
-2026-11-29T09:00:05+0000 systemd[1]: Started cushion.service - Haptic Cushion: error: none.
-2026-11-29T09:00:06+0000 python[13]: cushion: error: f
-"""
+JOURNAL = text("journal.txt")
 
 
 @pytest.mark.parametrize(("state", "count"), [("failed", 5), ("", 0)])

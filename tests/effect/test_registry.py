@@ -13,6 +13,7 @@ from audioflinger_hook.effect.interface import EffectFlag, Parameter, VendorComm
 from audioflinger_hook.effect.registry import EffectLibrary, EffectRegistry, descriptor_problem
 from audioflinger_hook.effect.xml import SIZE_MAX, parse_effects, read_effects
 from device.errors import InternalError, NotFoundError, UsageError
+from tests.support.data import text
 from tests.support.effects import ECHO_UUID, LIBRARY, Probe, descriptor
 
 HALVER_UUID = UUID("5d0a6a3e-95f9-4b6c-8f6e-0d6a5a4f0001")
@@ -172,25 +173,7 @@ def test_what_is_wrong_with_a_descriptor_is_said(wrong, problem):
 
 REGISTRY = EffectRegistry([CUSHION, LIBRARY])
 
-GOOD = f"""<?xml version="1.0" encoding="UTF-8"?>
-<audio_effects_conf version="2.0" xmlns="http://schemas.android.com/audio/audio_effects_conf/v2_0">
-    <libraries>
-        <library name="cushion" path="cushion"/>
-        <library name="lib2" path="echoes"/>
-    </libraries>
-    <effects>
-        <effect name="haptic" library="cushion" uuid="{HAPTIC_CUSHION.uuid}"/>
-        <effect name="delay" library="lib2" uuid="{str(ECHO_UUID).upper()}"/>
-    </effects>
-    <postprocess>
-        <stream type="output_mix">
-            <apply effect="delay"/>
-            <apply effect="haptic"/>
-        </stream>
-        <stream type="music"><apply effect="delay"/></stream>
-    </postprocess>
-</audio_effects_conf>
-"""
+GOOD = text("audio-effects.xml").format(haptic=HAPTIC_CUSHION.uuid, delay=str(ECHO_UUID).upper())
 
 
 LINES = GOOD.splitlines(keepends=True)

@@ -14,31 +14,25 @@ from typing import Any
 
 from tests.monitor.stand_in import ask, page
 from tests.servers.listening import wait_for
+from tests.support.data import text
 
 USER = "listener"
 CUSHION = f"{sys.executable} -m audioflinger_hook"
 PAGE = f"{sys.executable} -m tests.servers.logins page"
-SINKS = """\
-context.objects = [
-{ factory = adapter args = { factory.name = support.null-audio-sink node.name = desktop
-  media.class = Audio/Sink audio.position = [ FL FR ] object.linger = true } }
-{ factory = adapter args = { factory.name = support.null-audio-sink node.name = haptic
-  media.class = Audio/Sink audio.position = [ FL FR ] object.linger = true } }
-]
-"""
+SINKS = text("two-sinks.conf")
 LIMIT_S = 30.0
 
 
 def prepare() -> None:
     """Add a user, whose sessions have PipeWire with two sinks, and whose services find `tests`."""
     subprocess.run(["useradd", "--create-home", "--shell", "/bin/sh", USER], check=True)
-    for path, text in (
+    for path, content in (
         ("/etc/pipewire/pipewire.conf.d/sinks.conf", SINKS),
         ("/etc/systemd/system/user@.service.d/often.conf", "[Unit]\nStartLimitIntervalSec=0\n"),
         ("/etc/environment.d/project.conf", f"PYTHONPATH={os.environ['PYTHONPATH']}\n"),
     ):
         Path(path).parent.mkdir(parents=True, exist_ok=True)
-        Path(path).write_text(text)
+        Path(path).write_text(content)
     for name in ("pulseaudio.service", "pulseaudio.socket"):  # PipeWire is in its place
         unit = Path("/etc/systemd/user", name)
         unit.unlink(missing_ok=True)

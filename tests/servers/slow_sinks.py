@@ -9,6 +9,7 @@ import numpy as np
 
 from tests.servers.daemons import program
 from tests.servers.listening import RATE_HZ, Arrivals, wait_for
+from tests.support.data import text
 from tools.live_latency.bursts import APART_S, GraphOnce, onsets
 from tools.sound_server import SoundServer
 
@@ -57,23 +58,7 @@ class DeclaringSink:
         )
 
 
-DELAYING = """
-context.spa-libs = {{ audio.convert.* = audioconvert/libspa-audioconvert
-    support.* = support/libspa-support }}
-context.modules = [
-    {{ name = libpipewire-module-rt flags = [ ifexists nofail ] }}
-    {{ name = libpipewire-module-protocol-native }}
-    {{ name = libpipewire-module-client-node }}
-    {{ name = libpipewire-module-adapter }}
-    {{ name = libpipewire-module-filter-chain args = {{
-        filter.graph = {{ nodes = [ {{ type = builtin label = delay name = delay
-            config = {{ "max-delay" = 1.0 latency = {delay_s} }}
-            control = {{ "Delay (s)" = {delay_s} }} }} ] }}
-        audio.channels = 2 audio.position = [ FL FR ]
-        capture.props = {{ node.name = {SLOW} media.class = Audio/Sink }}
-        playback.props = {{ node.name = {SLOW}.out target.object = {BEHIND} }} }} }}
-]
-"""
+DELAYING = text("delaying-sink.conf")
 
 
 @contextmanager

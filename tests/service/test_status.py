@@ -22,6 +22,7 @@ from audioflinger_hook.service.shown import duration
 from audioflinger_hook.service.state import Cause, DaemonState
 from audioflinger_hook.service.status import Endpoint, GraphFigures, LatencyBudget, Partial, Status
 from device.errors import UsageError
+from tests.support.data import text
 from tests.support.recordings import ROOT
 
 TIMES_MS = {"tap_ms": 21.3, "transform_ms": 42.7, "delay_line_ms": 20.0, "output_ms": 10.7}
@@ -196,37 +197,7 @@ def test_a_figure_is_read_from_the_first_source_that_has_it_in_its_own_unit():
 
 
 def test_the_view_shows_every_figure():
-    assert status_text(STATUS, 100).splitlines() == [
-        "cushion    0.1.0, process 4321",
-        "state      running, for 2 h 05 min",
-        "tap        alsa_output.pci-0000_00_1f.3.analog-stereo.monitor (default), from its monitor",
-        "device     alsa_output.usb-Amplifier-00.analog-stereo (sink:Cushion)",
-        "sound      ███████████████░ peak   -3.1, rms  -14.2 dBFS",
-        "vibration  ███████████░░░░░ peak  -18.2, rms  -27.0 dBFS",
-        "server     PipeWire 1.4.2, 1024 frames at 48000 Hz (21.3 ms) a cycle",
-        "profile    cinema",
-        "latency    93.7 ms = tap 21.3 + transform 42.7 + driving 4.0 + delay line 20.0 + output "
-        "10.7 -",
-        "           offset 5.0",
-        "offset     -5.0 ms, set in the config",
-        "delay line target 20.0 ms, delay 20.1 ms, clock +13.4 ppm, resyncs 1, underflows 2, "
-        "overflows 3,",
-        "           locked",
-        "load       p50 1.2 ms, p99 2.9 ms, max 8.1 ms, buffer 21.3 ms, share 5.8 %",
-        "dropouts   tap 4, output 5",
-        "recoveries stall 2",
-        "samples    12 limited, 1 replaced",
-        "protection blocks 5000, limited 12, silenced 1, replaced samples 3, gain 0.50, least gain "
-        "0.25,",
-        "           limited by temperature, predicted excursion 1.23 mm, coil 62 °C, damping made "
-        "up by 15.5",
-        "           dB, felt -1.2 dB against no damping",
-        "exposure   time 10.0 s, now 1.25 m/s², predicted A(8) 0.6 m/s², VDV 9.5 m/s^1.75, above "
-        "action, as",
-        "           if the seat moved as the mass",
-        "bypassed   loudness",
-        "warning    the sink runs at 44100 Hz",
-    ]
+    assert status_text(STATUS, 100).splitlines() == text("status.txt").splitlines()
 
 
 def test_who_waits_says_for_what_and_why():

@@ -6,34 +6,10 @@ import soundfile
 
 from audioflinger_hook.study.design import MistakesError, load
 from tests.support.commands import call
+from tests.support.data import table
 from tests.support.studies import QUESTIONS, make_study
 
-MISTAKES = [  # what replaces what in a good design, the key, and words of the message
-    (
-        'paradigm = "preference"',
-        'paradigm = "preferense"',
-        "question[1].paradigm",
-        "mean preference",
-    ),
-    ('["x.wav", "y.wav"]', '["gone.wav"]', "question[1].stimuli", "'gone.wav'"),
-    ('["x.wav", "y.wav"]', '["design.toml"]', "question[1].stimuli", "not such a file"),
-    ('["x.wav", "y.wav"]', "[]", "question[1].stimuli", "at least 1"),
-    ("repeats = 2", "repeats = 0", "question[1].repeats", "1 to 1000"),
-    ("repeats = 2", "repeats = 3", "question[1].repeats", "multiple of 2"),
-    ("repeats = 2", "repeats = 2\noffsets_ms = [0, 1]", "question[1].offsets_ms", "3 or more"),
-    ("repeats = 2", "repeats = 2.0", "question[1].repeats", "must be integer"),
-    ("level_db = -40", "level_db = nan", "level_db", "-60 to 0"),
-    ('name = "b"', 'name = "a"', "condition[2].name", "duplicate"),
-    ('["a", "b", "c"]', '["a", "b", "b"]', "question[1].conditions", "unique"),
-    ('["a", "b", "c"]', '["a", "d"]', "question[1].conditions", "'d'"),
-    ('["a", "b", "c"]', '["a"]', "question[1].conditions", "at least 2"),
-    ('method = "envelope"', 'method = "envelop"', "condition[2].method", "mean envelope"),
-    ('method = "envelope"', 'method = "v/{stimulus}.wav"', "question[1].conditions", "v/y.wav"),
-    ("repeats = 2", "repeats = 2\neffect = {worths = 1}", "question[1].effect", "worths"),
-    ("repeats = 2", "repeats = 2\neffect = {worth = {d = 1}}", "question[1].effect", "'d'"),
-    ('title = "t"', 'titel = "t"', "titel", "mean title"),
-    ('title = "t"', "", "title", "is missing"),
-]
+MISTAKES = table("design-mistakes.toml")["mistakes"]
 
 
 def changed(tmp_path, *pairs, paradigms=("preference",)):

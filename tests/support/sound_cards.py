@@ -3,40 +3,9 @@
 import shutil
 from pathlib import Path
 
-ALTSET = """\
-  Interface 1
-    Altset {}
-    Format: {}
-    Channels: 2
-    Endpoint: 0x05 (5 OUT) (ASYNC)
-    Rates: 44100, 48000{}
-    Data packet interval: 125 us
-    Bits: {}
-"""
-MORE_HZ = ", 88200, 96000, 176400, 192000"
+from tests.support.data import text
 
-ASYNC = f"""\
-Maker DAC Two at usb-0000:00:14.0-2, high speed : USB Audio
-
-Playback:
-  Status: Stop
-{ALTSET.format(1, "S16_LE", MORE_HZ, 16)}    Channel map: FL FR
-    Sync Endpoint: 0x81 (1 IN)
-    Sync EP Interface: 1
-    Sync EP Altset: 1
-    Implicit Feedback Mode: No
-{ALTSET.format(2, "S32_LE", MORE_HZ, 24)}    Channel map: FL FR
-{ALTSET.format(3, "SPECIAL DSD_U32_BE", "", 32)}    DSD raw: DOP=0, bitrev=0
-
-Capture:
-  Status: Stop
-  Interface 2
-    Altset 1
-    Format: S16_LE
-    Channels: 1
-    Endpoint: 0x83 (3 IN) (SYNC)
-    Rates: 8000
-"""
+ASYNC = text("asound/async")
 """A UAC2 device: 16 and 24 bits, and a format that nobody here plays."""
 
 RUNNING = ASYNC.replace(
@@ -46,33 +15,14 @@ RUNNING = ASYNC.replace(
     1,
 )
 
-ADAPTIVE = """\
-Maker Headset at usb-0000:00:14.0-1, full speed : USB Audio
-
-Playback:
-  Status: Stop
-  Interface 1
-    Altset 1
-    Format: S24_3LE S16_LE
-    Channels: 8
-    Endpoint: 0x01 (1 OUT) (ADAPTIVE)
-    Rates: 8000 - 96000 (continuous)
-"""
+ADAPTIVE = text("asound/adaptive")
 """A UAC1 device with a range of rates."""
 
 PCM_INFO = "card: 1\ndevice: 0\nid: USB Audio\nname: {}\n"
 
 STATUS = "state: RUNNING\nowner_pid   : {}\ntrigger_time: 1.0\n-----\ndelay       : 768\n"
 
-HW_PARAMS = """\
-access: RW_INTERLEAVED
-format: {}
-subformat: STD
-channels: {}
-rate: {} (48000/1)
-period_size: 256
-buffer_size: 1024
-"""
+HW_PARAMS = text("asound/hw_params")
 
 
 class Cards:

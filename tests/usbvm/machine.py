@@ -19,6 +19,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from tests.support.data import text
+
 ROOT = Path(__file__).resolve().parents[2]
 KERNEL = ROOT / ".cache/usb-vm"
 QEMU = "qemu-system-x86_64"
@@ -28,39 +30,9 @@ BUFFER_FRAMES = 32 * 48  # of QEMU's cards: 32 packets of 1 ms, dropped when a s
 BUS_OF_QEMU, BUS_OF_SOFTWARE = "xhci-pci", "vhci-hcd"
 POLL_S = 0.02
 
-_INIT = """#!/bin/busybox sh
-export PATH=/bin
-/bin/busybox --install -s /bin
-mount -t proc proc /proc; mount -t sysfs sys /sys; mount -t devtmpfs dev /dev
-for module in /modules/*.ko; do insmod $module; done
-nine=trans=virtio,version=9p2000.L,msize=1048576
-mount -t 9p -o $nine,ro,cache=loose root /lower || poweroff -f
-mount -t tmpfs -o size=60% tmpfs /layer
-mkdir /layer/above /layer/work
-mount -t overlay -o lowerdir=/lower,upperdir=/layer/above,workdir=/layer/work overlay /new
-for word in $(cat /proc/cmdline); do case $word in shared=*) shared=${word#shared=};; esac; done
-mkdir -p /new$shared
-mount -t 9p -o $nine,rw,cache=none shared /new$shared || poweroff -f
-umount /proc /sys
-mount --move /dev /new/dev
-exec switch_root /new /bin/sh $shared/start
-"""
+_INIT = text("vm-init.sh")
 
-_START = """#!/bin/sh
-export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LANG=C.UTF-8
-mount -t proc proc /proc; mount -t sysfs sys /sys
-mkdir -p /dev/pts /dev/shm; mount -t devpts devpts /dev/pts; mount -t tmpfs shm /dev/shm
-mount -t tmpfs run /run
-mkdir -p -m 700 /run/user; export XDG_RUNTIME_DIR=/run/user
-ip link set lo up 2>/dev/null || /bin/busybox ifconfig lo 127.0.0.1 up
-modprobe -d {kernel} -a {bus} snd-usb-audio
-cd {root}
-{command} </dev/null >{shared}/output 2>&1
-echo $? >{shared}/code
-dmesg >{shared}/kernel.log
-sync
-/bin/busybox poweroff -f
-"""
+_START = text("vm-start.sh")  # with gaps
 
 
 def why_not() -> str:

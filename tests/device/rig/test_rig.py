@@ -9,6 +9,7 @@ from device.errors import UsageError
 from device.rig import CONSUMER, PAPER, read_rig, rig_by_name
 from device.rig.parameters import detune
 from device.rig.rig import STAGES, parse_rig
+from tests.support.data import text
 
 ACTUATOR = PAPER.actuator
 
@@ -71,23 +72,7 @@ def test_no_stage_has_a_parameter_that_is_not_physical(stage, name, value):
         replace(stage, **{name: value})
 
 
-PLAIN = """
-[dac]
-bits = 16
-full_scale_v = 1
-[amplifier]
-gain = 2.0
-output_limit_v = 10.0
-source_impedance_ohm = 0.0
-[actuator]
-moving_mass_kg = 0.2
-resonance_hz = 50.0
-q_mechanical = 5.0
-force_factor_n_per_a = 8.0
-resistance_ohm = 4.0
-inductance_h = 1e-3
-x_max_m = 1e-3
-"""
+PLAIN = text("rig.toml")
 VALUES = st.none() | st.floats() | st.integers() | st.text(max_size=3) | st.lists(st.integers())
 
 

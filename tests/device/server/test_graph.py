@@ -16,6 +16,7 @@ from device.server.graph import Graph, LinkPair
 from device.server.graph_watch import Announcements, Documents
 from device.server.link_keeper import HOLDS_S, PAUSED_S, RETRY_S, LinkKeeper
 from device.server.node_errors import INTERVAL_S, NodeErrors, errors_in
+from tests.support.data import text
 from tests.support.graphs import Item, desktop, gone, link, node, play, port
 
 
@@ -95,24 +96,7 @@ def test_documents_are_whole_however_the_pipe_cuts_them(piece):
     assert found == [[{"id": 1, "info": None}], [], [{"id": 2}]]
 
 
-PRINTED = b"""remote 0 added global: \tid 70, type PipeWire:Interface:Node/3
- \t\tobject.serial = "700"
- \t\tnode.name = "a \"name\" = "
- \t\tmedia.class = "Stream/Output/Audio"
-remote 0 node 70 changed
-remote 0 added global: \tid 71, type PipeWire:Interface:Port/3
- \t\tobject.serial = "701"
- \t\tnode.id = "70"
- \t\taudio.channel = "FL"
- \t\tport.name = "output_FL"
- \t\tport.direction = "out"
-remote 0 added global: \tid 72, type PipeWire:Interface:Link/3
- \t\tobject.serial = "702"
- \t\tlink.output.port = "71"
- \t\tlink.input.port = "11"
- \t\tlink.output.node = "70"
- \t\tlink.input.node = "10"
-"""
+PRINTED = text("pw-cli.txt").encode()
 
 
 def announced(printed: bytes = PRINTED, graph: Graph | None = None, piece: int = 1 << 16) -> Graph:
@@ -269,15 +253,7 @@ def test_another_session_manager_is_known_by_its_serial_number_as_ids_come_back(
     assert graph.session_manager is None
 
 
-LISTING = """\
-S   ID  QUANT   RATE    WAIT    BUSY   W/Q   B/Q  ERR FORMAT           NAME
-S   51      0      0    ---     ---   ---   ---     0                  cushion-9-1.tap
-S   ID  QUANT   RATE    WAIT    BUSY   W/Q   B/Q  ERR FORMAT           NAME
-R   26   1024  48000 123.4us   6.5us  0.01  0.00    7     F32P 2 48000 desktop
-R   51   1024  48000  69.7us  24.8us  0.00  0.00   18     F32P 2 48000  + cushion-9-1.tap
-R   52   1024  48000  61.7us  22.8us  0.00  0.00    2     F32P 1 48000  + cushion-9-1.vibration
-R   53   1024  48000  61.7us  22.8us  0.00  0.00    4     F32P 1 48000  + a program of two words
-"""
+LISTING = text("pw-top.txt")
 NAMES = ("cushion-9-1.tap", "cushion-9-1.vibration")
 
 

@@ -14,76 +14,10 @@ from device.usb import descriptors
 from device.usb.descriptors import DescriptorError, parse_configuration, parse_dump, parse_whole
 from device.usb.descriptors.dump import parse_hex
 from tests.support import usb_builder as usb
+from tests.support.data import DATA, text
 from tests.support.usb_shapes import SHAPES
 
-OLD = """\
-Couldn't open device, some information will be missing
-
-Bus 002 Device 003: ID 08bb:2902 Texas Instruments PCM2902 Audio Codec
-Device Descriptor:
-  bLength                18
-  bDescriptorType         1
-  bcdUSB               1.10
-  bDeviceClass            0 (Defined at Interface level)
-  bDeviceSubClass         0
-  bDeviceProtocol         0
-  bMaxPacketSize0         8
-  idVendor           0x08bb Texas Instruments
-  idProduct          0x2902 PCM2902 Audio Codec
-  bcdDevice            1.00
-  iManufacturer           1 Burr-Brown from TI
-  iProduct                2
-  iSerial                 0
-  bNumConfigurations      1
-  Configuration Descriptor:
-    bLength                 9
-    bDescriptorType         2
-    wTotalLength           58
-    bNumInterfaces          1
-    bConfigurationValue     1
-    iConfiguration          0
-    bmAttributes         0x80
-      (Bus Powered)
-    MaxPower              100mA
-    Interface Descriptor:
-      bLength                 9
-      bDescriptorType         4
-      bInterfaceNumber        0
-      bAlternateSetting       0
-      bNumEndpoints           0
-      bInterfaceClass         1 Audio
-      bInterfaceSubClass      1 Control Device
-      bInterfaceProtocol      0
-      iInterface              0
-      AudioControl Interface Descriptor:
-        bLength                10
-        bDescriptorType        36
-        bDescriptorSubtype      6 (FEATURE_UNIT)
-        bUnitID                 2
-        bSourceID               1
-        bControlSize            1
-        bmaControls( 0)      0x01
-          Mute
-        bmaControls( 1)      0x02
-          Volume
-        bmaControls( 2)      0x02
-          Volume
-        iFeature                0
-      AudioStreaming Interface Descriptor:
-        bLength                14
-        bDescriptorType        36
-        bDescriptorSubtype      2 (FORMAT_TYPE)
-        bFormatType             1 (FORMAT_TYPE_I)
-        bNrChannels             2
-        bSubframeSize           2
-        bBitResolution         16
-        bSamFreqType            2 Discrete
-        tSamFreq[ 0]        32000
-        tSamFreq[ 1]        48000
-      ** UNRECOGNIZED:  07 24 ff aa bb cc dd
-Device Status:     0x0000
-  (Bus Powered)
-"""
+OLD = text("lsusb-old.txt")
 
 OLD_BYTES = bytes.fromhex(
     "12 01 10 01 00 00 00 08 bb 08 02 29 00 01 01 02 00 01"
@@ -163,38 +97,7 @@ def test_no_text_whatever_raises_anything_else(changes):
 
 BYTES = bytes.fromhex("09026d000301 00a0320904 000000 0101 00 7c23 2f2a 3b")
 
-DUMPS = {
-    "pairs": "09 02 6D 00 03 01 00 A0 32\n09 04 00 00 00 01 01 00\n\n7c 23 2f 2a 3b\n",
-    "xxd of a part": (
-        "00000012: 0902 6d00 0301 00a0 3209 0400 0000 0101  ..m.....2.......\n"
-        "00000022: 007c 232f 2a3b                           .|#/*;\n"
-    ),
-    "od -t x1": (
-        "0000000 09 02 6d 00 03 01 00 a0 32 09 04 00 00 00 01 01\n"
-        "0000020 00 7c 23 2f 2a 3b\n"
-        "0000026\n"
-    ),
-    "od -A x -t x1": (
-        "000000 09 02 6d 00 03 01 00 a0 32 09 04 00 00 00 01 01\n000010 00 7c 23 2f 2a 3b\n000016\n"
-    ),
-    "lsusb": (
-        "  ** UNRECOGNIZED:  09 02 6d 00 03 01 00 a0 32\n"
-        "  ** UNRECOGNIZED:  09 04 00 00 00 01 01 00\n"
-        "  Junk at descriptor end: 7c 23 2f 2a 3b\n"
-    ),
-    "a C array": (
-        "{ 0x09, 0x02, 0x6d, 0x00, 0x03, 0x01, 0x00, 0xa0, 0x32, // configuration: 2 interfaces\n"
-        "  /* interface 0: control\n     on */ 0x09, 0x04, 0x00, 0x00, 0x00, 0x01, 0x01,\n"
-        "  0x00, 0x7C, 0x23, 0x2F, 0x2A, 0x3B }\n"
-    ),
-    "a Python string": r"\x09\x02\x6d\x00\x03\x01\x00\xa0\x32\x09\x04" + r"\x00" * 3 + "\n"
-    r"\x01\x01\x00\x7c\x23\x2f\x2a\x3b",
-    "with comments": (
-        "# the configuration of my DAC\n09 02 6d 00 03 01 00 a0 32 ; self powered\n"
-        "09 04 00 00 00 01 01 00 # control\n7c 23 2f 2a 3b /* what is this? */\n"
-        "/* the | end */\n/* the end"
-    ),
-}
+DUMPS = {path.stem: path.read_text() for path in sorted((DATA / "hex-dumps").iterdir())}
 
 
 @pytest.mark.parametrize("dump", DUMPS)
@@ -242,8 +145,8 @@ def hexdump(raw):
 
 @given(st.binary(min_size=1, max_size=80))
 def test_any_bytes_come_back_from_any_dump(raw):
-    for text in (xxd(raw), hexdump(raw), raw.hex(), ", ".join(f"0x{byte:02x}" for byte in raw)):
-        assert parse_hex(text) == raw
+    for dump in (xxd(raw), hexdump(raw), raw.hex(), ", ".join(f"0x{byte:02x}" for byte in raw)):
+        assert parse_hex(dump) == raw
 
 
 def said_of(text):
