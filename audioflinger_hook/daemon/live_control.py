@@ -222,8 +222,9 @@ class LiveControl:
             raise _Refused("tone", 'tone takes {"hz": HZ} with or without level, or null')
         hz, level = wanted.get("hz", 60.0), wanted.get("level", 0.2)
         if type(hz) not in (int, float) or not 20.0 <= hz <= 220.0:
-            problem = f"{one_line(str(hz), 60)} is out of range; allowed: 20 to 220 Hz"
-            raise _Refused("tone", problem)
+            raise _Refused(
+                "tone", f"{one_line(str(hz), 60)} is out of range; allowed: 20 to 220 Hz"
+            )
         if type(level) not in (int, float) or not 0.0 < level <= 0.5:
             raise _Refused("tone", "the level is out of range; allowed: above 0, up to 0.5")
         _, (address, name) = self._supervisor.endpoints
@@ -247,11 +248,13 @@ class LiveControl:
         if not isinstance(wanted, dict) or len(wanted) != 1 or not wanted.keys() <= set(actions):
             raise UsageError('sync takes {"try_ms": MS}, {"try_ms": null} or {"store_ms": MS}')
         ((name, offset_ms),) = wanted.items()
-        ends = name == "try_ms" and offset_ms is None
-        if not ends and type(offset_ms) not in (int, float):
+        if wanted == {"try_ms": None}:
+            offset.try_out(None)
+            return
+        if type(offset_ms) not in (int, float):
             raise UsageError(f"{name} takes a number of ms")
         # UsageError: the offset is not allowed
-        actions[name](None if ends else replace(self._config.live, offset_ms=offset_ms).offset_s)
+        actions[name](replace(self._config.live, offset_ms=offset_ms).offset_s)
 
     def _tell(self) -> None:
         """Set `settings` to a new object, by which the status server detects the change."""

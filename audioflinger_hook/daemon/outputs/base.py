@@ -208,14 +208,10 @@ class StreamOutput(Output, Generic[NodeT]):
         """Return the actuator of each channel. UsageError: the device lacks channels."""
 
     def _playback(
-        self,
-        node: NodeT,
-        fill: Fill,
-        set_volume: SetVolume,
-        sample_format: SampleFormat,
+        self, node: NodeT, fill: Fill, set_volume: SetVolume, sample_format: SampleFormat
     ) -> PlaybackStream:
         self.volume.set(set_volume)
-        sent: Callable[[Float32Array, float], None] | None = None
+        sent = None
         if self._recording is not None:
             self._recording.reopened()
             sent = partial(self._recording.sent, samplerate=node.samplerate)
