@@ -13,16 +13,9 @@ from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.cli.usb_formats import format_text, formats_of, joined, samplerates_text
 from device.alsa.mixer import CardMixer
 from device.errors import CushionError, NotFoundError, NoUsbDeviceError, UsageError
-from device.usb import UsbAudioDevice, UsbIdentity, find_devices, find_one, identify
+from device.usb import UsbAudioDevice, UsbIdentity, descriptors, find_devices, find_one, identify
 from device.usb.control import UsbControl, held_by, open_control, read_descriptors
-from device.usb.descriptors import (
-    RateRange,
-    WholeDevice,
-    hex_lines,
-    parse_dump,
-    parse_whole,
-    playback_formats,
-)
+from device.usb.descriptors import RateRange, WholeDevice, parse_whole, playback_formats
 from device.usb.take_over import take_over
 
 DUMP_BYTES_MAX = 4 << 20  # largest accepted dump
@@ -37,7 +30,7 @@ def run(options: argparse.Namespace) -> int:
     if options.hex is not None and (options.device or options.take_over):
         raise UsageError("--hex decodes a file; leave out DEVICE and --take-over")
     if options.hex is not None:
-        devices = [parse_whole(raw) for raw in parse_dump(_read(options.hex))]
+        devices = [parse_whole(raw) for raw in descriptors.parse_dump(_read(options.hex))]
         with_audio = [one for one in devices if any(each.uac for each in one.configurations)]
         documents = [_document(whole) for whole in with_audio or devices]
     else:
@@ -110,7 +103,9 @@ def _asked(control: UsbControl) -> dict[str, Any]:
 
 
 def _document(
-    whole: WholeDevice, device: UsbAudioDevice | None = None, settings: dict[str, Any] | None = None
+    whole: WholeDevice,
+    device: UsbAudioDevice | None = None,
+    settings: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return all known properties of a device or dump, as printed by --json."""
     document: dict[str, Any] = {}
@@ -164,7 +159,7 @@ def _text(document: dict[str, Any]) -> str:
     lines += _settings_lines(document["settings"])
     if document["problem"]:
         lines.append(f"problem: {document['problem']}")
-    return "\n".join([*lines, "bytes:", *hex_lines(bytes.fromhex(document["bytes"]))])
+    return "\n".join([*lines, "bytes:", *descriptors.hex_lines(bytes.fromhex(document["bytes"]))])
 
 
 def _configuration_lines(configuration: dict[str, Any], is_one_of_several: bool) -> list[str]:

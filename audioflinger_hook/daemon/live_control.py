@@ -21,9 +21,9 @@ import json
 import math
 import re
 import subprocess
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from queue import Empty, SimpleQueue
 from typing import Any
 
 from audioflinger_hook.config.edits import EDITABLE, RULE, LiveEdits, editable
@@ -88,21 +88,18 @@ class LiveControl:
 
     def control(self, request: dict[str, Any]) -> dict[str, Any]:
         """Let the main thread carry out a request; return the answer."""
-        done, answers = threading.Event(), list[dict[str, Any]]()
-
-        def answer(given: dict[str, Any]) -> None:
-            answers.append(given)
-            done.set()
-
+        answers = SimpleQueue[dict[str, Any]]()
+        answer = answers.put
         asked = {name: value for name, value in request.items() if name not in ENVELOPE}
         if "trial" in asked:
             return trial_figures(self._supervisor)
         if self._waiting.put(asked, answer):  # else the main thread has been woken
             self._ring()
-        if not done.wait(ANSWER_S):
+        try:
+            return answers.get(timeout=ANSWER_S)
+        except Empty:
             self._waiting.drop(answer)
             return {"error": f"the daemon has not answered within {ANSWER_S:g} s; try again"}
-        return answers[0]
 
     def rest_s(self, now_s: float) -> float:
         """Return the time until `work` can carry out the next waiting request; inf for none."""

@@ -30,11 +30,8 @@ def status_of(supervisor: Supervisor, now_s: float) -> figures.Status:
     chain = native.chain if native is not None else None
     tap, device = supervisor.endpoints
     sources: tuple[object, ...] = (supervisor, engines)
-    values: dict[str, Any] = {
-        "xruns": figures.Xruns(supervisor.input.xruns, supervisor.output.xruns),
-        "engine": "",
-        "engine_reason": "",
-    }
+    xruns = figures.Xruns(supervisor.input.xruns, supervisor.output.xruns)
+    values: dict[str, Any] = {"xruns": xruns}
     played: Sequence[tuple[float, float, float]] = ()
     level = 0.0 if supervisor.config.muted else db_to_amplitude(supervisor.config.settings.gain_db)
     if chain is not None:

@@ -11,13 +11,7 @@ from audioflinger_hook.service.one_line import one_line
 from audioflinger_hook.service.state import Cause, DaemonState
 
 if TYPE_CHECKING:
-    from audioflinger_hook.service.status import (
-        Endpoint,
-        GraphFigures,
-        LatencyBudget,
-        Partial,
-        Xruns,
-    )
+    from audioflinger_hook.service import status
 
 BAR_CELLS = 16
 BAR_RANGE_DB = 60.0
@@ -50,7 +44,7 @@ def level(one: Level) -> str:
     return f"{bar(one)} peak {one.peak_dbfs:6.1f}, rms {max(FLOOR_DBFS, one.rms_dbfs):6.1f} dBFS"
 
 
-def endpoint(one: Endpoint) -> str:
+def endpoint(one: status.Endpoint) -> str:
     """Return name and address of a tap or device."""
     address, name = one_line(one.address), one_line(one.name or "")
     if one.name is None:
@@ -58,7 +52,7 @@ def endpoint(one: Endpoint) -> str:
     return address if name in ("", address) else f"{name} ({address})"
 
 
-def principal(partials: tuple[Partial, ...]) -> str:
+def principal(partials: tuple[status.Partial, ...]) -> str:
     """Return the strongest principal frequencies with their vibration frequencies in Hz."""
     strongest = sorted(partials, key=lambda one: -one.amplitude)[:PRINCIPAL_MAX]
     shown = ", ".join(f"{one.audio_hz:.0f} → {one.vibration_hz:.0f} Hz" for one in strongest)
@@ -66,7 +60,7 @@ def principal(partials: tuple[Partial, ...]) -> str:
     return f"{shown} and {more} more" if more else shown
 
 
-def latency(one: LatencyBudget) -> str:
+def latency(one: status.LatencyBudget) -> str:
     """Return the delay between sound and vibration, and the parts of the delay, in ms as text."""
     fields = [(label_of(name, known), name) for name, known, _ in table(type(one))]
     parts = [(label, getattr(one, name)) for label, name in fields if name != "total_ms"]
@@ -84,7 +78,7 @@ def offset_reason(reason: str) -> str:
     return reason + advice if reason == "not known" else reason
 
 
-def cycle(graph: GraphFigures) -> str:
+def cycle(graph: status.GraphFigures) -> str:
     """Return the length of a cycle of PipeWire's graph, "" before the first cycle."""
     if not graph.samplerate:
         return ""
@@ -92,7 +86,7 @@ def cycle(graph: GraphFigures) -> str:
     return f"{graph.cycle_frames} frames at {graph.samplerate} Hz ({cycle_ms:.1f} ms) a cycle"
 
 
-def xruns(one: Xruns) -> str:
+def xruns(one: status.Xruns) -> str:
     """Return the numbers of late or lost buffers at tap and output."""
     if one.tap is None or one.output is None:
         return "the server does not report them"
@@ -125,6 +119,6 @@ def tone_of_gain(gain: float) -> str:
     return "wait" if gain < 1.0 else ""
 
 
-def tone_of_xruns(one: Xruns) -> str:
+def tone_of_xruns(one: status.Xruns) -> str:
     """Return "good" without late or lost buffers, "wait" with such buffers, "" if unknown."""
     return "wait" if one.tap or one.output else "" if one.tap is None else "good"
