@@ -103,9 +103,7 @@ def _asked(control: UsbControl) -> dict[str, Any]:
 
 
 def _document(
-    whole: WholeDevice,
-    device: UsbAudioDevice | None = None,
-    settings: dict[str, Any] | None = None,
+    whole: WholeDevice, device: UsbAudioDevice | None = None, settings: dict[str, Any] | None = None
 ) -> dict[str, Any]:
     """Return all known properties of a device or dump, as printed by --json."""
     document: dict[str, Any] = {}
@@ -208,9 +206,7 @@ def _settings_lines(settings: dict[str, Any] | None) -> list[str]:
 
 def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
     """Return the mixer controls of a device's cards for JSON; levels in dB, None for silence."""
-    volumes: list[dict[str, Any]] = []
-    mutes: list[dict[str, Any]] = []
-    problem = None
+    found: dict[str, Any] = {"volumes": [], "mutes": [], "problem": None}
     for card in device.cards:
         if not card.playback:
             continue
@@ -223,11 +219,12 @@ def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
                         shown["db"] = [_finite(level) for level in levels]
                         shown["lowest_db"] = _finite(decibels.lowest_db)
                         shown["highest_db"] = _finite(decibels.highest_db)
-                    volumes.append(shown)
-                mutes += [{"name": s.name, "muted": [*mixer.muted(s)]} for s in mixer.switches]
+                    found["volumes"].append(shown)
+                for switch in mixer.switches:
+                    found["mutes"].append({"name": switch.name, "muted": [*mixer.muted(switch)]})
         except CushionError as error:
-            problem = str(error)
-    return {"volumes": volumes, "mutes": mutes, "problem": problem}
+            found["problem"] = str(error)
+    return found
 
 
 def mixer_lines(mixer: dict[str, Any]) -> list[str]:

@@ -14,8 +14,8 @@ from audioflinger_hook.daemon.latency import parts_of_native, parts_of_python
 from audioflinger_hook.daemon.native.chain import Chain
 from audioflinger_hook.daemon.native.engine import NativeEngine
 from audioflinger_hook.daemon.native.layout import Shown
+from audioflinger_hook.daemon.safety_keeper import Rigs
 from audioflinger_hook.daemon.supervisor import Supervisor
-from audioflinger_hook.drive.drive import DrivenRig
 from audioflinger_hook.service import status as figures
 from audioflinger_hook.service.figure import gathered
 from audioflinger_hook.service.meters import Level, level_of
@@ -116,10 +116,7 @@ def _of_native(native: NativeEngine, chain: Chain, supervisor: Supervisor) -> di
 
 
 def _of_rigs(
-    rigs: Sequence[DrivenRig | None],
-    levels: Sequence[Level],
-    settings: Settings,
-    supervisor: Supervisor,
+    rigs: Rigs, levels: Sequence[Level], settings: Settings, supervisor: Supervisor
 ) -> dict[str, Any]:
     since = supervisor.engines.safety.since
     protections = [
@@ -132,9 +129,7 @@ def _of_rigs(
     each = zip(settings.actuators, levels, protections, exposures, strict=False)
     return {
         "protection": min(
-            (one for one in protections if one),
-            key=lambda one: (one.gain, one.least_gain),
-            default=None,
+            filter(None, protections), key=lambda one: (one.gain, one.least_gain), default=None
         ),
         "exposure": worst_exposure([one for one in exposures if one]),
         "actuators": tuple(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from audioflinger_hook.service.figure import label_of, table
 from audioflinger_hook.service.meters import FLOOR_DBFS, Level
 from audioflinger_hook.service.one_line import one_line
-from audioflinger_hook.service.state import Cause, DaemonState
+from audioflinger_hook.service.state import READY, Cause, DaemonState
 
 if TYPE_CHECKING:
     from audioflinger_hook.service import status
@@ -26,9 +26,7 @@ def duration(time_s: float) -> str:
     if minutes < 60:
         return f"{minutes} min {seconds:02d} s"
     hours, minutes = divmod(minutes, 60)
-    if hours < 48:
-        return f"{hours} h {minutes:02d} min"
-    return f"{hours // 24} d {hours % 24:02d} h"
+    return f"{hours} h {minutes:02d} min" if hours < 48 else f"{hours // 24} d {hours % 24:02d} h"
 
 
 def bar(level: Level, cells: int = BAR_CELLS) -> str:
@@ -110,8 +108,7 @@ def seat(is_known: bool) -> str:
 
 def tone_of_state(state: DaemonState) -> str:
     """Return the tone of a state: "good", "wait" or ""."""
-    good = (DaemonState.RUNNING, DaemonState.IDLE)
-    return "good" if state in good else "wait" if state is not DaemonState.STOPPING else ""
+    return "good" if state in READY else "wait" if state is not DaemonState.STOPPING else ""
 
 
 def tone_of_gain(gain: float) -> str:

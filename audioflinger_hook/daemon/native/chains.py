@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from audioflinger_hook.daemon.native.chain import NAME, Chain, ChainDesign, has_realtime
-from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns, drives_of
+from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.drive.drive import DrivenRig
@@ -294,7 +294,7 @@ class Chains:
         has: the design that follows protects the actuator at the new gain.
         """
         settings, offset_s = self._config.settings, self._offset_s
-        page, plan, holds = chain.page, playing.plan, playing.plan.drives != drives_of(settings)
+        page, plan, holds = chain.page, playing.plan, playing.plan.drives != settings.drives
         level = 0.0 if self._config.muted else db_to_amplitude(settings.gain_db)
         if not settings.actuators:
             for slot in range(len(plan.actuators)):

@@ -96,11 +96,7 @@ class StreamOutput(Output, Generic[NodeT]):
     _identity: "attrgetter[Any]"  # the part of a node that changes if it is plugged in again
 
     def __init__(
-        self,
-        config: RunConfig,
-        pcm: Pcm,
-        states: StateKeeper,
-        priority: AudioPriority | None = None,
+        self, config: RunConfig, pcm: Pcm, states: StateKeeper, priority: AudioPriority | None
     ) -> None:
         super().__init__(config.device)
         self.block_frames = config.live.block_frames
