@@ -184,9 +184,7 @@ class _Reading:
                 "profile": self.profile,
                 "parameters": profiles.parameters_of(self.profile, chosen),
                 "said": tuple(chosen),
-                "actuators": tuple(
-                    ActuatorSettings(**actuator) for actuator in self.arrays[ACTUATOR]
-                ),
+                "actuators": tuple(ActuatorSettings(**one) for one in self.arrays[ACTUATOR]),
             }
         )
         rules = tuple(ApplicationRule(**rule) for rule in self.arrays[APPLICATION])

@@ -49,12 +49,10 @@ class ChainPlan:
         routed = routed or tuple(range(outputs))
         # As in the Python engine, the mix alone needs no weights.
         mixed = () if sources in ((), ("mix",)) else sources
-        parameters, drives = settings.transform_parameters, settings.drives
+        chosen, drives = settings.transform_parameters, settings.drives
         if tap.is_trial:
             mixed, routed = (), (0,) * len(routed)
-        return cls(
-            samplerate, tap.channels, mixed, outputs, routed, parameters, drives, tap.is_trial
-        )
+        return cls(samplerate, tap.channels, mixed, outputs, routed, chosen, drives, tap.is_trial)
 
     @property
     def node(self) -> tuple[int, int, int]:
