@@ -6,23 +6,8 @@ from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from audioflinger_hook.capture.format import (
-    FORMAT,
-    INDEX_NAME,
-    SAMPLES_OFFSET,
-    STREAMS,
-    VERSION,
-    BufferRecord,
-    DroppedRecord,
-    EndRecord,
-    Facts,
-    Header,
-    begins_like_an_index,
-    first_record,
-    records,
-    segment_name,
-    segment_paths,
-)
+from audioflinger_hook.capture import format as form
+from audioflinger_hook.capture.format import INDEX_NAME, VERSION, segment_name, segment_paths
 from audioflinger_hook.capture.segment import CaptureBuffer, SegmentReader, segment_format
 from device.errors import UsageError
 from device.values import counted
@@ -50,15 +35,15 @@ class Capture:
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = Path(folder)
         self.warnings: list[str] = []
-        self.facts: Facts = {}
+        self.facts: form.Facts = {}
         self._index = self.folder / INDEX_NAME
         self._rebuilt = False
         found = _streams_there(self.folder)
-        first = first_record(self._index) if self._index.is_file() else None
-        if isinstance(first, Header):
-            if first.format != FORMAT:
+        first = form.first_record(self._index) if self._index.is_file() else None
+        if isinstance(first, form.Header):
+            if first.format != form.FORMAT:
                 raise UsageError(
-                    f"{self.folder} contains the format {first.format!r}; allowed: {FORMAT!r}"
+                    f"{self.folder} contains the format {first.format!r}; allowed: {form.FORMAT!r}"
                 )
             if first.version != VERSION:
                 raise UsageError(
@@ -72,7 +57,7 @@ class Capture:
         elif found:
             self._rebuilt = True
             self.streams = found
-        elif self._index.is_file() and begins_like_an_index(self._index):
+        elif self._index.is_file() and form.begins_like_an_index(self._index):
             self.streams = ()
             self._warn(f"{self.folder} was cut off before the first buffer")
         else:
@@ -100,19 +85,19 @@ class Capture:
         tally, number = _Tally(), 0
         segment: SegmentReader | None = None  # reads the segment `number`, unless that is missing
         with ExitStack() as opened:
-            for record in records(self._index):
+            for record in form.records(self._index):
                 if record is None:
                     tally.unread_lines += 1
                     continue
                 tally.damaged_lines += tally.unread_lines
                 tally.unread_lines = 0
-                if isinstance(record, EndRecord):
+                if isinstance(record, form.EndRecord):
                     tally.promised = record.buffers.get(stream, 0)
-                elif isinstance(record, DroppedRecord) and record.stream == stream:
+                elif isinstance(record, form.DroppedRecord) and record.stream == stream:
                     tally.dropped_buffers += record.buffers
                     tally.dropped_frames += record.frames
                     tally.after_drop = True
-                elif isinstance(record, BufferRecord) and record.stream == stream:
+                elif isinstance(record, form.BufferRecord) and record.stream == stream:
                     if record.segment != number:
                         opened.close()
                         number, segment = record.segment, None
@@ -141,7 +126,7 @@ class Capture:
             found = segment_format(path)
             if found is not None:
                 segments.append((path, found))
-            elif number < len(paths) or path.stat().st_size >= SAMPLES_OFFSET:
+            elif number < len(paths) or path.stat().st_size >= form.SAMPLES_OFFSET:
                 raise UsageError(
                     f"{self.folder} has lost {INDEX_NAME}, and {path.name} is not as a capture "
                     "writes it; take the file away, or replay the WAV files one by one with "
@@ -182,7 +167,7 @@ class _Tally:
     promised: int | None = None
     after_drop: bool = False
 
-    def take(self, record: BufferRecord) -> bool:
+    def take(self, record: form.BufferRecord) -> bool:
         lost = record.buffer - self.next_buffer
         if lost:
             self.first_gap = self.first_gap or record.buffer
@@ -227,6 +212,6 @@ def _streams_there(folder: Path) -> tuple[str, ...]:
             raise UsageError(f"{folder} does not exist; give the folder of a capture")
         if not folder.is_dir():
             raise UsageError(f"{folder} is not a folder; give the folder of a capture")
-        return tuple(stream for stream in STREAMS if segment_paths(folder, stream))
+        return tuple(stream for stream in form.STREAMS if segment_paths(folder, stream))
     except OSError as error:
         raise UsageError(f"{folder} cannot be read ({error.strerror}); check permissions") from None

@@ -69,10 +69,9 @@ class CaptureRecorder(AbstractContextManager["CaptureRecorder"]):
             lane.drop(frames.shape[0] if frames.ndim else 0)
             return False
         handed = lane.put(frames, samplerate, time_s, discontinuity)
-        if handed is None:
-            return False
-        self._queue.put((stream, handed))
-        return True
+        if handed is not None:
+            self._queue.put((stream, handed))
+        return handed is not None
 
     def dropped(self, stream: str) -> tuple[int, int]:
         """Return how many buffers and frames of a stream were dropped. Any thread may call this."""

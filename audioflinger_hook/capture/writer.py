@@ -11,17 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from audioflinger_hook import __version__
-from audioflinger_hook.capture.format import (
-    INDEX_NAME,
-    STREAMS,
-    BufferRecord,
-    DroppedRecord,
-    EndRecord,
-    Facts,
-    Header,
-    segment_name,
-    segment_paths,
-)
+from audioflinger_hook.capture import format as form
+from audioflinger_hook.capture.format import INDEX_NAME, STREAMS, segment_name, segment_paths
 from audioflinger_hook.capture.segment import SegmentWriter, write_at
 from device.atomic_file import MACHINE_FAULTS, write_reason
 from device.errors import CushionError, InternalError, UsageError, WriteError
@@ -54,22 +45,17 @@ class CaptureWriter(AbstractContextManager["CaptureWriter"]):
         folder: str | os.PathLike[str],
         *,
         streams: Sequence[str] = ("tap",),
-        facts: Facts | None = None,
+        facts: form.Facts | None = None,
     ) -> None:
         if not streams or len(set(streams)) != len(streams) or not set(streams) <= set(STREAMS):
             raise InternalError(f"a capture cannot have streams={streams}; allowed: {STREAMS}")
-        self.folder = Path(folder)
+        self.folder, self.streams = Path(folder), tuple(streams)
         self._streams = {stream: _Stream() for stream in streams}
         self._failure: WriteError | None = None
         program = f"haptic-cushion {__version__}"
-        header = Header(streams=[*streams], facts={"program": program, **(facts or {})}).line()
+        header = form.Header(streams=[*streams], facts={"program": program, **(facts or {})}).line()
         self._index_fd = _new_index(self.folder, header)
         self._index_bytes = len(header)
-
-    @property
-    def streams(self) -> tuple[str, ...]:
-        """Names of the streams."""
-        return tuple(self._streams)
 
     def buffers(self, stream: str) -> int:
         """Return the number of buffers written to a stream."""
@@ -98,13 +84,13 @@ class CaptureWriter(AbstractContextManager["CaptureWriter"]):
             raise InternalError(f"time_s={time_s} of a buffer is not a number of seconds")
         before, here = self._state_of(stream), self._streams[stream]
         with self._all_or_nothing(stream, before):
-            segment, form = here.segment, (samplerate, frames.shape[1])
-            if segment is None or (segment.samplerate, segment.channels) != form:
+            segment, wanted = here.segment, (samplerate, frames.shape[1])
+            if segment is None or (segment.samplerate, segment.channels) != wanted:
                 here.segments += 1
                 path = self.folder / segment_name(stream, here.segments)
-                here.segment = segment = SegmentWriter(path, *form)
+                here.segment = segment = SegmentWriter(path, *wanted)
                 here.segment_frames = 0
-            record = BufferRecord(
+            record = form.BufferRecord(
                 stream=stream,
                 buffer=here.buffers,
                 segment=here.segments,
@@ -128,7 +114,7 @@ class CaptureWriter(AbstractContextManager["CaptureWriter"]):
         """Record dropped buffers in the index. frames: their total number of frames."""
         self._state_of(stream)
         with self._all_or_nothing():
-            self._append_line(DroppedRecord(stream, buffers, frames).line())
+            self._append_line(form.DroppedRecord(stream, buffers, frames).line())
 
     def close(self) -> None:
         """Sync all files and mark the capture as complete. Repeated calls do nothing."""
@@ -140,7 +126,7 @@ class CaptureWriter(AbstractContextManager["CaptureWriter"]):
                     for path in segment_paths(self.folder, stream).values():
                         _fsync(path)
                 counts = {stream: state.buffers for stream, state in self._streams.items()}
-                self._append_line(EndRecord(counts).line())
+                self._append_line(form.EndRecord(counts).line())
                 os.fsync(self._index_fd)
                 with suppress(OSError):  # some file systems cannot sync folders
                     _fsync(self.folder)

@@ -9,16 +9,10 @@ from dataclasses import dataclass, replace
 from audioflinger_hook.cli.calibrate import Progress
 from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.cli.test_tone import free_card
+from device import errors
 from device.address import DeviceAddress
 from device.alsa import find_capture, find_playback
-from device.errors import (
-    BrokenStreamError,
-    CushionError,
-    InternalError,
-    LostError,
-    NotFoundError,
-    UsageError,
-)
+from device.errors import LostError, NotFoundError, UsageError
 from device.identification.calibration import Calibration, calibrate
 from device.identification.live.exchange import Exchange
 from device.identification.live.laboratory import UNUSED, Devices, Inputs, LiveLaboratory
@@ -122,12 +116,12 @@ class MeasurementStreams:
     def _counts(self) -> list[tuple[int, int, int]]:
         return [(s.xruns, s.silenced, sum(s.errors.values())) for s in self._streams]
 
-    def _problem(self, now_s: float) -> CushionError | None:
+    def _problem(self, now_s: float) -> errors.CushionError | None:
         """Return the error that ends the measurement, or None."""
         for guard in self._guards:
             if guard.hold is Hold.NO_STREAM:  # for a moment after a late block, too
                 why = f"{guard.hold.value}; plug the device in"
-                return BrokenStreamError(f"the sweep ended: {why}, and repeat")
+                return errors.BrokenStreamError(f"the sweep ended: {why}, and repeat")
             if not guard.hold.audible:
                 return LostError(f"the sweep ended: {guard.hold.value}; plug it in, and repeat")
         names = self.output.name, self.source.name
@@ -137,10 +131,10 @@ class MeasurementStreams:
                 return LostError(f"{name} went away during the sweep; plug it in again, and repeat")
             if now[0] > before[0] or now[1] > before[1]:
                 late = "a block came too late during the sweep"
-                return BrokenStreamError(f"{name}: {late}; close other programs, and repeat")
+                return errors.BrokenStreamError(f"{name}: {late}; close other programs, and repeat")
             if now[2] > before[2]:
                 kinds = ", ".join(stream.errors)
-                return InternalError(f"{name}: {kinds} in a callback; please report it")
+                return errors.InternalError(f"{name}: {kinds} in a callback; please report it")
         return None
 
 

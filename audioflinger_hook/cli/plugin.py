@@ -9,7 +9,7 @@ from audioflinger_hook.plugin import install as plugin
 
 def run(options: argparse.Namespace) -> int:
     """Print the plugin's path, or install or remove the plugin for this user."""
-    places = plugin.Places.of(os.environ)
+    places = plugin.Places(os.environ)
     if options.does == "path":
         print(places.plugin if places.plugin.is_file() else plugin.built_plugin())
     elif options.does == "remove":

@@ -41,11 +41,10 @@ def run(options: argparse.Namespace) -> int:
     if out.suffix.lower() not in (*WAV_SUFFIXES, ""):
         allowed = f"a name that ends in {', '.join(WAV_SUFFIXES)}, or without an ending"
         raise UsageError(f"OUT = '{out}': the vibration is written as WAV; allowed: {allowed}")
-    options.input, options.output = files
-    settings = chosen_settings(options)
-    source, target, acceleration = options.input, options.output, options.acceleration
+    source, options.output = files
+    settings, acceleration = chosen_settings(options), options.acceleration
     with progress_bar(source.name) as progress:
-        report = render_file(source, target, settings, acceleration=acceleration, progress=progress)
+        report = render_file(source, out, settings, acceleration=acceleration, progress=progress)
     show_report(report, options)
     return 0
 

@@ -16,19 +16,11 @@ from typing import Any
 import numpy as np
 
 from audioflinger_hook.cli.terminal import pressed_keys, warn
+from audioflinger_hook.service import sync_trials
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Status
 from audioflinger_hook.service.status_client import ask_control, ask_status
-from audioflinger_hook.service.sync_trials import (
-    CREDIBLE,
-    EARLIEST_MS,
-    FOUND_MS,
-    WIDE_MS,
-    Answer,
-    Estimate,
-    SimulatedPerson,
-    SyncTrials,
-)
+from audioflinger_hook.service.sync_trials import EARLIEST_MS, FOUND_MS, Answer, SyncTrials
 from device.errors import CushionError, LostError, NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.snapshot import Sink
@@ -130,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
             "delay_ms": round(found.delay_ms, 1),
             "low_ms": round(found.low_ms, 1),
             "high_ms": round(found.high_ms, 1),
-            "credible": CREDIBLE,
+            "credible": sync_trials.CREDIBLE,
             "clipped": found.is_clipped,
             "trials": trials.count,
             "duration_s": round(seconds, 1),
@@ -141,8 +133,8 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _tell(found: Estimate, count: int, heard: str | None) -> None:
-    between = f"{100.0 * CREDIBLE:.0f} %: {found.low_ms:.0f} to {found.high_ms:.0f} ms"
+def _tell(found: sync_trials.Estimate, count: int, heard: str | None) -> None:
+    between = f"{100.0 * sync_trials.CREDIBLE:.0f} %: {found.low_ms:.0f} to {found.high_ms:.0f} ms"
     print(f"The vibration needs an offset of {found.delay_ms:.0f} ms ({between}; {count} answers).")
     if found.is_clipped:
         print(
@@ -153,10 +145,10 @@ def _tell(found: Estimate, count: int, heard: str | None) -> None:
         print(f'The offset is stored for {heard} and this device; offset_ms = "auto" uses it.')
 
 
-def _checked(trials: SyncTrials) -> Estimate:
+def _checked(trials: SyncTrials) -> sync_trials.Estimate:
     """Return the estimate. UsageError: the answers do not agree, or the delay is too long."""
     found = trials.estimate()
-    if found.width_ms > WIDE_MS:
+    if found.width_ms > sync_trials.WIDE_MS:
         raise UsageError(
             f"{trials.count} answers leave the delay between {found.low_ms:.0f} and "
             f"{found.high_ms:.0f} ms, so nothing was stored; run `cushion sync` again, and answer "
@@ -170,18 +162,18 @@ def _checked(trials: SyncTrials) -> Estimate:
     return found
 
 
-def _simulated(text: str, random: np.random.Generator) -> SimulatedPerson:
+def _simulated(text: str, random: np.random.Generator) -> sync_trials.SimulatedPerson:
     """Parse MS[:SCATTER_MS]. UsageError: a value is not a number, or is out of range."""
     with suppress(ValueError):
         delay, colon, scatter = text.partition(":")
         delay_ms, scatter_ms = float(delay), float(scatter) if colon else 15.0
         if EARLIEST_MS <= delay_ms <= FOUND_MS and 1.0 <= scatter_ms <= 100.0:
-            return SimulatedPerson(delay_ms, scatter_ms, random)
+            return sync_trials.SimulatedPerson(delay_ms, scatter_ms, random)
     allowed = f"MS {EARLIEST_MS:g} to {FOUND_MS:g}, SCATTER_MS 1 to 100"
     raise UsageError(f"simulate={text!r} is not MS[:SCATTER_MS]; allowed: {allowed}")
 
 
-def _ask_simulated(person: SimulatedPerson) -> tuple[SyncTrials, float]:
+def _ask_simulated(person: sync_trials.SimulatedPerson) -> tuple[SyncTrials, float]:
     trials, now_s = SyncTrials(0.0), 0.0
     while not trials.is_over(now_s + TRIAL_S):
         offset_ms = trials.next_ms()

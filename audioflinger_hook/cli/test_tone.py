@@ -130,9 +130,7 @@ def open_tone(
             name = f"{sink.name} ({sink.description})"
             setup = CardSetup(SampleFormat.FLOAT32, sink.samplerate, sink.channels)
             channel_map = sink_channel_map(sink, actuators)
-        playing = [
-            number for number, source in enumerate(channel_map.sources) if source is not None
-        ]
+        playing = [n for n, source in enumerate(channel_map.sources) if source is not None]
         tone = Tone(name, hz, setup.samplerate, playing)
         stream = tone.stream = PlaybackStream(
             pcm, setup.samplerate, setup.channels, tone.fill, sample_format=setup.sample_format

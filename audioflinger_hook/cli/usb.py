@@ -13,16 +13,9 @@ from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.cli.usb_formats import format_text, formats_of, joined, samplerates_text
 from device.alsa.mixer import CardMixer
 from device.errors import CushionError, NotFoundError, NoUsbDeviceError, UsageError
-from device.usb import UsbAudioDevice, UsbIdentity, find_devices, find_one, identify
+from device.usb import UsbAudioDevice, UsbIdentity, descriptors, find_devices, find_one, identify
 from device.usb.control import UsbControl, held_by, open_control, read_descriptors
-from device.usb.descriptors import (
-    RateRange,
-    WholeDevice,
-    hex_lines,
-    parse_dump,
-    parse_whole,
-    playback_formats,
-)
+from device.usb.descriptors import RateRange, WholeDevice, parse_whole, playback_formats
 from device.usb.take_over import take_over
 
 DUMP_BYTES_MAX = 4 << 20  # largest accepted dump
@@ -37,7 +30,7 @@ def run(options: argparse.Namespace) -> int:
     if options.hex is not None and (options.device or options.take_over):
         raise UsageError("--hex decodes a file; leave out DEVICE and --take-over")
     if options.hex is not None:
-        devices = [parse_whole(raw) for raw in parse_dump(_read(options.hex))]
+        devices = [parse_whole(raw) for raw in descriptors.parse_dump(_read(options.hex))]
         with_audio = [one for one in devices if any(each.uac for each in one.configurations)]
         documents = [_document(whole) for whole in with_audio or devices]
     else:
@@ -164,7 +157,7 @@ def _text(document: dict[str, Any]) -> str:
     lines += _settings_lines(document["settings"])
     if document["problem"]:
         lines.append(f"problem: {document['problem']}")
-    return "\n".join([*lines, "bytes:", *hex_lines(bytes.fromhex(document["bytes"]))])
+    return "\n".join([*lines, "bytes:", *descriptors.hex_lines(bytes.fromhex(document["bytes"]))])
 
 
 def _configuration_lines(configuration: dict[str, Any], is_one_of_several: bool) -> list[str]:
@@ -213,9 +206,7 @@ def _settings_lines(settings: dict[str, Any] | None) -> list[str]:
 
 def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
     """Return the mixer controls of a device's cards for JSON; levels in dB, None for silence."""
-    volumes: list[dict[str, Any]] = []
-    mutes: list[dict[str, Any]] = []
-    problem = None
+    found: dict[str, Any] = {"volumes": [], "mutes": [], "problem": None}
     for card in device.cards:
         if not card.playback:
             continue
@@ -228,11 +219,12 @@ def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
                         shown["db"] = [_finite(level) for level in levels]
                         shown["lowest_db"] = _finite(decibels.lowest_db)
                         shown["highest_db"] = _finite(decibels.highest_db)
-                    volumes.append(shown)
-                mutes += [{"name": s.name, "muted": [*mixer.muted(s)]} for s in mixer.switches]
+                    found["volumes"].append(shown)
+                for switch in mixer.switches:
+                    found["mutes"].append({"name": switch.name, "muted": [*mixer.muted(switch)]})
         except CushionError as error:
-            problem = str(error)
-    return {"volumes": volumes, "mutes": mutes, "problem": problem}
+            found["problem"] = str(error)
+    return found
 
 
 def mixer_lines(mixer: dict[str, Any]) -> list[str]:

@@ -6,29 +6,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.config import fits, profiles
+from audioflinger_hook.config import fits, profiles, schema, toml_text
 from audioflinger_hook.config.applications import ApplicationRule, rule_refusals
 from audioflinger_hook.config.edits import Edits, apply_edits
 from audioflinger_hook.config.kinds import curve_text
-from audioflinger_hook.config.schema import (
-    ACTUATOR,
-    APPLICATION,
-    ARRAYS,
-    HEADERS,
-    KEYS,
-    REPLACED,
-    SECTIONS,
-    keys_of,
-)
+from audioflinger_hook.config.schema import ACTUATOR, APPLICATION, ARRAYS, KEYS, keys_of
 from audioflinger_hook.config.settings import LiveSettings, Settings
-from audioflinger_hook.config.toml_text import (
-    LISTED_MAX,
-    Mistake,
-    lines_of_keys,
-    parse,
-    printable,
-    text_of,
-)
+from audioflinger_hook.config.toml_text import Mistake, printable
 from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings, wiring_refusals
 from device.errors import UsageError
@@ -75,7 +59,7 @@ def check(
     edits: values that override those of the file. If they are given, the file may be missing.
     UsageError: the file cannot be read or is not text.
     """
-    text = text_of(path, or_empty=edits is not None)
+    text = toml_text.text_of(path, or_empty=edits is not None)
     return check_text(text, path.parent, default_profile, edits)
 
 
@@ -83,9 +67,9 @@ def check_text(
     text: str, folder: Path, default_profile: str, edits: Edits | None = None
 ) -> tuple[Config | None, list[Mistake]]:
     """Check a text as `check` checks a file. folder: relative paths in the text start there."""
-    document, mistakes = parse(text)
+    document, mistakes = toml_text.parse(text)
     apply_edits(document, edits or {})
-    reading = _Reading(lines_of_keys(text), folder, mistakes, default_profile)
+    reading = _Reading(toml_text.lines_of_keys(text), folder, mistakes, default_profile)
     reading.read(document)
     reading.find_contradictions()
     if mistakes:
@@ -106,9 +90,9 @@ class _Reading:
         self.refused: set[tuple[type[Described], str]] = set()
 
     def read(self, document: dict[str, Any]) -> None:
-        top = {name: value for name, value in document.items() if name not in HEADERS}
+        top = {name: value for name, value in document.items() if name not in schema.HEADERS}
         self._read_table("", "", top)
-        for section in SECTIONS[1:]:
+        for section in schema.SECTIONS[1:]:
             found = document.get(section, {})
             if section in ARRAYS:
                 self._read_array(section, found if section in document else None)
@@ -116,13 +100,13 @@ class _Reading:
                 self._read_table(section, f"{section}.", found)
             else:
                 self.shown[section] = _shown(found)
-                self._add(section, Refusal("is not a section", HEADERS[section]))
+                self._add(section, Refusal("is not a section", schema.HEADERS[section]))
 
     def _read_array(self, section: str, found: object) -> None:
         tables = found if isinstance(found, list) else []
         good = [table for table in tables if isinstance(table, dict)]
         if found is not None and (not good or len(good) < len(tables)):
-            self._add(section, Refusal("is not an array of tables", HEADERS[section]))
+            self._add(section, Refusal("is not an array of tables", schema.HEADERS[section]))
         for number, table in enumerate(good, 1):
             required = keys_of(section)[ARRAYS[section]]
             accepted = self.accepted[required.owner] = {}
@@ -141,7 +125,7 @@ class _Reading:
                 self.shown[shown] = _shown(value)
             if name not in known:
                 # Similar names take long to find, and only the first mistakes are shown.
-                told = name if len(self.mistakes) < LISTED_MAX else ""
+                told = name if len(self.mistakes) < toml_text.LISTED_MAX else ""
                 self._add(shown, _unknown(section, told, is_section=isinstance(value, dict)))
                 continue
             key = known[name]
@@ -200,9 +184,7 @@ class _Reading:
                 "profile": self.profile,
                 "parameters": profiles.parameters_of(self.profile, chosen),
                 "said": tuple(chosen),
-                "actuators": tuple(
-                    ActuatorSettings(**actuator) for actuator in self.arrays[ACTUATOR]
-                ),
+                "actuators": tuple(ActuatorSettings(**one) for one in self.arrays[ACTUATOR]),
             }
         )
         rules = tuple(ApplicationRule(**rule) for rule in self.arrays[APPLICATION])
@@ -221,17 +203,17 @@ class _Reading:
 @lru_cache(maxsize=128)
 def _unknown(section: str, name: str, is_section: bool) -> Refusal:
     """Return a message about an unknown key or section, with the most similar known name."""
-    if name in REPLACED.get(section, {}):
-        return Refusal("is no longer a key", REPLACED[section][name])
-    known = [*keys_of(section), *(HEADERS.values() if not section else ())]
+    if name in schema.REPLACED.get(section, {}):
+        return Refusal("is no longer a key", schema.REPLACED[section][name])
+    known = [*keys_of(section), *(schema.HEADERS.values() if not section else ())]
     elsewhere = [
-        f"{name} in {HEADERS[key.section]}" if key.section else f"{name} at the top level"
+        f"{name} in {schema.HEADERS[key.section]}" if key.section else f"{name} at the top level"
         for key in KEYS
         if key.name == name
     ]
-    guess = elsewhere[0] if elsewhere else nearest(name, [*keys_of(section), *SECTIONS[1:]])
+    guess = elsewhere[0] if elsewhere else nearest(name, [*keys_of(section), *schema.SECTIONS[1:]])
     wrong = "is an unknown section" if is_section and not section else "is an unknown key"
-    return Refusal(wrong, ", ".join(known), HEADERS.get(guess, guess))
+    return Refusal(wrong, ", ".join(known), schema.HEADERS.get(guess, guess))
 
 
 def _shown(value: Any) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from audioflinger_hook.config.applications import ApplicationRule
 from audioflinger_hook.config.kinds import Address, FileName, Names, RigName, Taps
@@ -57,10 +57,7 @@ class Settings(Described):
         str, Choice("limit daily exposure by 2002/44/EC; also turns protection on", EXPOSURE_CAP)
     ] = EXPOSURE_CAP[0]
     form: Annotated[
-        Form,
-        Choice(
-            "form of the transform", ("live", "reference"), name="transform", section="transform"
-        ),
+        Form, Choice("form of the transform", get_args(Form), name="transform", section="transform")
     ] = "live"
     channels: Annotated[
         Channels,
@@ -128,11 +125,7 @@ class Settings(Described):
         becomes "rig" if all actuators share one rig, damping, protection and exposure cap, and one
         of these is not the default. UsageError: the rig file cannot be read.
         """
-        names = ("rig", "damping", "protection", "exposure_cap")
-        driven = {
-            tuple(getattr(one, name, None) or getattr(self, name) for name in names)
-            for one in self.actuators or (self,)
-        }
+        driven = set(self.drives)
         chosen = self.parameters
         of_profile = PROFILES[self.profile].get("strength")
         if of_profile and chosen.strength == of_profile.value and "strength" not in self.said:
@@ -144,6 +137,15 @@ class Settings(Described):
         rig, damping = min(driven)[:2] if len(driven) == 1 else (self.rig, self.damping)
         hz, q, gain_db = resonance_as_damped(rig_by_name(rig).actuator, damping == "auto")
         return replace(chosen, resonance_hz=hz, resonance_q=q, resonance_gain_db=gain_db)
+
+    @property
+    def drives(self) -> tuple[tuple[str, ...], ...]:
+        """Rig, damping, protection and exposure cap of each actuator, or of all channels."""
+        names = ("rig", "damping", "protection", "exposure_cap")
+        return tuple(
+            tuple(getattr(one, name) or getattr(self, name) for name in names)
+            for one in self.actuators or (self,)
+        )
 
     @property
     def sources(self) -> tuple[str, ...]:

@@ -101,10 +101,9 @@ class ActingRule:
         before, self.rule = self.rule, None
         if snapshot is not None and config.live.application_rules:
             heard = None if tapped_sink is None else sinks_heard_on(snapshot, tapped_sink)
-            selected = (config.rules or AppRules()).select(snapshot, haptic_sink)
             playing = {
                 one.index: one
-                for one in selected
+                for one in (config.rules or AppRules()).select(snapshot, haptic_sink)
                 if not (one.corked or one.mute) and (heard is None or one.device_name in heard)
             }
             self._playing = [index for index in self._playing if index in playing]

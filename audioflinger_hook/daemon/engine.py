@@ -205,8 +205,7 @@ class Engine:
                 self._read = np.zeros((frames * READ_BLOCKS, kept.shape[1]), np.float32)
             self._read[:held] = kept
             playing_s = now_s + held / line.samplerate_out
-            read = line.read(self._read[held:needed], playing_s, ahead)
-            self._start, self._end = 0, held + read
+            self._start, self._end = 0, held + line.read(self._read[held:needed], playing_s, ahead)
         start = self._start
         self._start = min(start + frames, self._end)
         out[:] = self._read[start : self._start]

@@ -239,8 +239,7 @@ class Engines:
                 silent = volume_db == -math.inf
                 self.volume_db = before_db if silent else undone_db(volume_db, snapshot.kind)
                 streams_db = 0.0 if silent else -undone_db(volume_db - streams_db, snapshot.kind)
-        gain = db_to_amplitude(-self.volume_db) if is_felt else 0.0
-        self._endpoints.feed.gain.wanted = gain
+        self._endpoints.feed.gain.wanted = db_to_amplitude(-self.volume_db) if is_felt else 0.0
         self._streams_gain = db_to_amplitude(streams_db) if is_felt else 0.0
 
     def prepare(self, source: AudioNode, device: AudioNode, now_s: float) -> None:
@@ -249,13 +248,11 @@ class Engines:
         self.safety.note_device(device.name)
         if engine is None:
             recording, feed = self._config.recording, self._endpoints.feed
-            on_step, on_mix = None, None
+            form, on_step, on_mix = (source.samplerate, source.channels), None, None
             if recording:
-                on_step, on_mix = recording.hooks(
-                    source.samplerate, source.channels, of_mix=feed.records_mix
-                )
+                on_step, on_mix = recording.hooks(*form, of_mix=feed.records_mix)
             engine = Engine(
-                feed.client(source.samplerate, source.channels),
+                feed.client(*form),
                 device.samplerate or source.samplerate,
                 self._config.settings,
                 clocks=self._clocks,

@@ -21,9 +21,9 @@ import json
 import math
 import re
 import subprocess
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from queue import Empty, SimpleQueue
 from typing import Any
 
 from audioflinger_hook.config.edits import EDITABLE, RULE, LiveEdits, editable
@@ -88,21 +88,18 @@ class LiveControl:
 
     def control(self, request: dict[str, Any]) -> dict[str, Any]:
         """Let the main thread carry out a request; return the answer."""
-        done, answers = threading.Event(), list[dict[str, Any]]()
-
-        def answer(given: dict[str, Any]) -> None:
-            answers.append(given)
-            done.set()
-
+        answers = SimpleQueue[dict[str, Any]]()
+        answer = answers.put
         asked = {name: value for name, value in request.items() if name not in ENVELOPE}
         if "trial" in asked:
             return trial_figures(self._supervisor)
         if self._waiting.put(asked, answer):  # else the main thread has been woken
             self._ring()
-        if not done.wait(ANSWER_S):
+        try:
+            return answers.get(timeout=ANSWER_S)
+        except Empty:
             self._waiting.drop(answer)
             return {"error": f"the daemon has not answered within {ANSWER_S:g} s; try again"}
-        return answers[0]
 
     def rest_s(self, now_s: float) -> float:
         """Return the time until `work` can carry out the next waiting request; inf for none."""
@@ -222,8 +219,9 @@ class LiveControl:
             raise _Refused("tone", 'tone takes {"hz": HZ} with or without level, or null')
         hz, level = wanted.get("hz", 60.0), wanted.get("level", 0.2)
         if type(hz) not in (int, float) or not 20.0 <= hz <= 220.0:
-            problem = f"{one_line(str(hz), 60)} is out of range; allowed: 20 to 220 Hz"
-            raise _Refused("tone", problem)
+            raise _Refused(
+                "tone", f"{one_line(str(hz), 60)} is out of range; allowed: 20 to 220 Hz"
+            )
         if type(level) not in (int, float) or not 0.0 < level <= 0.5:
             raise _Refused("tone", "the level is out of range; allowed: above 0, up to 0.5")
         _, (address, name) = self._supervisor.endpoints
@@ -247,11 +245,13 @@ class LiveControl:
         if not isinstance(wanted, dict) or len(wanted) != 1 or not wanted.keys() <= set(actions):
             raise UsageError('sync takes {"try_ms": MS}, {"try_ms": null} or {"store_ms": MS}')
         ((name, offset_ms),) = wanted.items()
-        ends = name == "try_ms" and offset_ms is None
-        if not ends and type(offset_ms) not in (int, float):
+        if wanted == {"try_ms": None}:
+            offset.try_out(None)
+            return
+        if type(offset_ms) not in (int, float):
             raise UsageError(f"{name} takes a number of ms")
         # UsageError: the offset is not allowed
-        actions[name](None if ends else replace(self._config.live, offset_ms=offset_ms).offset_s)
+        actions[name](replace(self._config.live, offset_ms=offset_ms).offset_s)
 
     def _tell(self) -> None:
         """Set `settings` to a new object, by which the status server detects the change."""

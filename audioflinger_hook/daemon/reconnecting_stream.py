@@ -79,10 +79,9 @@ class ReconnectingStream(Generic[StreamT]):
 
     def close(self) -> None:
         """Close the stream and its guard. Repeated calls do nothing."""
-        guard, stream = self.guard, self.stream
-        if guard:
-            guard.release()
-        if stream:
-            stream.close()
-            self._xruns_before += stream.xruns
+        if self.guard:
+            self.guard.release()
+        if self.stream:
+            self.stream.close()
+            self._xruns_before += self.stream.xruns
         self.guard = self.stream = None

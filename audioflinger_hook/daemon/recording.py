@@ -142,7 +142,7 @@ class RunRecording(AbstractContextManager["RunRecording"]):
             mix_samplerate, mix_channels = self._mix or (samplerate, 1)
             recorder.offer("tap", np.zeros((0, mix_channels), np.float32), mix_samplerate, now_s)
         self._begun = True
-        self._broken["effect"] = self._broken["effect"] or discontinuity
+        self._broken["effect"] |= discontinuity
         recorder.offer("tap", frames, samplerate, now_s, discontinuity=discontinuity)
 
     def reopened(self) -> None:

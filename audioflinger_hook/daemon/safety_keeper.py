@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -73,10 +74,8 @@ class SafetyKeeper:
         records = known.get("actuators", {})
         self._day = now.day
         self.since = known["since"] if known.get("day") == now.day else now.local
-        today = [one for one in records.values() if one["day"] == now.day]
-        dose = DoseSums()
-        for one in today:
-            dose = dose.at_least(DoseSums(**one["dose"]))
+        today = [DoseSums(**one["dose"]) for one in records.values() if one["day"] == now.day]
+        dose = reduce(DoseSums.at_least, today, DoseSums())
         for index, processor in enumerate(rigs):
             if processor is None:
                 continue
@@ -86,7 +85,7 @@ class SafetyKeeper:
                 if trouble and not known:
                     state = bounds.warmest
                 elif record is None:
-                    state = SafetyState(dose=dose) if today else SafetyState()
+                    state = SafetyState(dose=dose)
                 else:
                     state, problem = _resumed(record, now, processor)
                     trouble = trouble or problem

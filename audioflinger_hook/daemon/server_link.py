@@ -125,15 +125,14 @@ class DropInControl:
             self._drop_in = DropIn(
                 connection, target, self._wanted_delay_s, haptic_sink=haptic_sink
             )
+            self._refusal = ""
+            self._backoff.succeeded()
         except CushionError as error:
             self._refusal = str(error)
             self._backoff.failed(now_s)
-        else:
-            self._refusal = ""
-            self._backoff.succeeded()
 
     def close(self) -> None:
         """Remove the sink, so that applications play to other sinks. Repeated calls do nothing."""
-        drop_in, self._drop_in = self._drop_in, None
-        if drop_in is not None:
-            drop_in.close()
+        if self._drop_in is not None:
+            self._drop_in.close()
+        self._drop_in = None

@@ -14,8 +14,8 @@ from audioflinger_hook.daemon.latency import parts_of_native, parts_of_python
 from audioflinger_hook.daemon.native.chain import Chain
 from audioflinger_hook.daemon.native.engine import NativeEngine
 from audioflinger_hook.daemon.native.layout import Shown
+from audioflinger_hook.daemon.safety_keeper import Rigs
 from audioflinger_hook.daemon.supervisor import Supervisor
-from audioflinger_hook.drive.drive import DrivenRig
 from audioflinger_hook.service import status as figures
 from audioflinger_hook.service.figure import gathered
 from audioflinger_hook.service.meters import Level, level_of
@@ -30,11 +30,8 @@ def status_of(supervisor: Supervisor, now_s: float) -> figures.Status:
     chain = native.chain if native is not None else None
     tap, device = supervisor.endpoints
     sources: tuple[object, ...] = (supervisor, engines)
-    values: dict[str, Any] = {
-        "xruns": figures.Xruns(supervisor.input.xruns, supervisor.output.xruns),
-        "engine": "",
-        "engine_reason": "",
-    }
+    xruns = figures.Xruns(supervisor.input.xruns, supervisor.output.xruns)
+    values: dict[str, Any] = {"xruns": xruns}
     played: Sequence[tuple[float, float, float]] = ()
     level = 0.0 if supervisor.config.muted else db_to_amplitude(supervisor.config.settings.gain_db)
     if chain is not None:
@@ -119,10 +116,7 @@ def _of_native(native: NativeEngine, chain: Chain, supervisor: Supervisor) -> di
 
 
 def _of_rigs(
-    rigs: Sequence[DrivenRig | None],
-    levels: Sequence[Level],
-    settings: Settings,
-    supervisor: Supervisor,
+    rigs: Rigs, levels: Sequence[Level], settings: Settings, supervisor: Supervisor
 ) -> dict[str, Any]:
     since = supervisor.engines.safety.since
     protections = [
@@ -135,9 +129,7 @@ def _of_rigs(
     each = zip(settings.actuators, levels, protections, exposures, strict=False)
     return {
         "protection": min(
-            (one for one in protections if one),
-            key=lambda one: (one.gain, one.least_gain),
-            default=None,
+            filter(None, protections), key=lambda one: (one.gain, one.least_gain), default=None
         ),
         "exposure": worst_exposure([one for one in exposures if one]),
         "actuators": tuple(

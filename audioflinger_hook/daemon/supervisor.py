@@ -4,13 +4,8 @@ import random
 from contextlib import closing
 from pathlib import Path
 
+from audioflinger_hook.daemon import applications as apps
 from audioflinger_hook.daemon.alignment import Alignment
-from audioflinger_hook.daemon.applications import (
-    ActingRule,
-    applications_in,
-    not_left_out,
-    with_rule,
-)
 from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.engines import Engines
@@ -64,7 +59,7 @@ class Supervisor:
         now_s = clocks.now_s()
         self.states = StateKeeper(now_s)
         self.config, self.config_error, self._rule_error = config, "", ""
-        self.user_config, self._acting = config, ActingRule()
+        self.user_config, self._acting = config, apps.ActingRule()
         self._folder = folder
         self.priority = AudioPriority(config.live.realtime)
         self._endpoints = Endpoints(config, clocks, self.states, self.priority, wake.ring)
@@ -129,7 +124,9 @@ class Supervisor:
         source, device = self._found
         haptic = device.name if device and self.output.needs_server else None
         seen, acting = self._link.latest, self._acting.rule
-        return applications_in(seen, self.config, source, haptic, acting, is_mixed=self.is_mixed)
+        return apps.applications_in(
+            seen, self.config, source, haptic, acting, is_mixed=self.is_mixed
+        )
 
     @property
     def is_mixed(self) -> bool:
@@ -169,7 +166,7 @@ class Supervisor:
         warnings += self.alignment.warnings
         others = [self._link.warning, self.priority.warning, self.config_error, self._rule_error]
         others += [self.engines.safety.warning, *self.engines.warnings]
-        others.append(not_left_out(self.applications))
+        others.append(apps.not_left_out(self.applications))
         others.append(self._limits.advice(self.config.settings))
         return [*warnings, *filter(None, others)]
 
@@ -262,7 +259,7 @@ class Supervisor:
         """Return the config with the rule that acts, without it if it contradicts the config."""
         self._rule_error = ""
         try:
-            return with_rule(config, self._acting.rule)
+            return apps.with_rule(config, self._acting.rule)
         except UsageError as error:
             self._note_rule(error)
             return config

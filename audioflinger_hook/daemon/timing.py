@@ -1,5 +1,6 @@
 """Timing of the main thread: retries, stalls, suspends, idle state and wake-up."""
 
+import math
 import os
 import select
 from collections.abc import Callable
@@ -25,7 +26,7 @@ class Backoff:
     def __init__(self, longest_s: float = LONGEST_S) -> None:
         self._longest_s = longest_s
         self._next_wait_s = FIRST_S
-        self._due_s: float | None = None
+        self._due_s = -math.inf
 
     def failed(self, now_s: float) -> float:
         """Count a failure; return the seconds to wait from `now_s` on."""
@@ -36,13 +37,10 @@ class Backoff:
 
     def succeeded(self) -> None:
         """Reset, so that the next attempt is due immediately."""
-        self._next_wait_s = FIRST_S
-        self._due_s = None
+        self._next_wait_s, self._due_s = FIRST_S, -math.inf
 
     def wait_s(self, now_s: float) -> float:
         """Return the seconds until the next attempt; 0 if it is due."""
-        if self._due_s is None:
-            return 0.0
         # If the clock is set back, the wait must not become longer.
         return min(self._longest_s, max(0.0, self._due_s - now_s))
 

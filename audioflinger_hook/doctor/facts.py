@@ -116,8 +116,3 @@ class Facts:
         """Return the numbers, except 0, in a setting of PipeWire's clock, such as "force-rate"."""
         text = str(self.graph.settings.get(f"clock.{setting}")) if self.graph else ""
         return [number for number in map(int, re.findall(r"\d+", text)) if number]
-
-    @property
-    def cycle_frames(self) -> int:
-        """The length of a cycle: the forced quantum, else the configured quantum."""
-        return next(iter(self.clock("force-quantum") + self.clock("quantum")), 0)

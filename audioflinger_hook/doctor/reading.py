@@ -189,7 +189,7 @@ def _folder(what: str, path_of: Callable[[], Path], named: str = "") -> Folder:
 def _installed(environ: Mapping[str, str]) -> str:
     built = library_path()
     with suppress(CushionError, OSError):
-        places = Places.of(environ)
+        places = Places(environ)
         if places.plugin.is_file():
             is_same = built is None or places.plugin.read_bytes() == built.read_bytes()
             return "current" if is_same else "of another version"

@@ -56,7 +56,7 @@ def remove_lock(facts: Facts, environ: Mapping[str, str]) -> str:
 
 def install_plugin(facts: Facts, environ: Mapping[str, str]) -> str:
     """Install the plugin; a configuration that refers to it is not changed."""
-    places = Places.of(environ)
+    places = Places(environ)
     install(places, LIVE_DEFAULT, None, RATES_HZ)
     return f"{places.plugin} was installed."
 

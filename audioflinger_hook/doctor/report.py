@@ -124,11 +124,12 @@ def rows(facts: Facts) -> Iterator[tuple[str, str]]:
 
 def _sinks(facts: Facts) -> Iterator[str]:
     server, graph = facts.server, facts.graph
+    cycle_frames, *_ = *facts.clock("force-quantum"), *facts.clock("quantum"), 0
     for sink in server.sinks if server else ():
         node = graph.sink(sink.name) if graph else None
         declared_s = facts.latencies_s.get(sink.name)
         if graph is not None:  # a delay in cycles counts as cycles of the configured quantum
-            declared_s = graph.declared_s(sink.name, facts.cycle_frames, graph.clock_hz)
+            declared_s = graph.declared_s(sink.name, cycle_frames, graph.clock_hz)
         parts = (
             f"{sink.name}: {sink.samplerate} Hz, {sink.channels} channels",
             f"volume {sink.volume_percent} %",

@@ -70,7 +70,7 @@ def load_key(folder: RuntimeFolder) -> str:
     """Return the page's key, a new one if none is valid. WriteError: no access to its file."""
     path = folder.path / KEY_NAME
     try:
-        try:
+        with suppress(FileNotFoundError):
             fd = os.open(KEY_NAME, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder.fd)
             with os.fdopen(fd, "rb") as file:
                 found, known = os.fstat(fd), file.read(100)
@@ -79,8 +79,6 @@ def load_key(folder: RuntimeFolder) -> str:
             if stat.S_ISREG(found.st_mode) and private and re.fullmatch(form, known):
                 return known.decode()
             os.unlink(KEY_NAME, dir_fd=folder.fd)
-        except FileNotFoundError:
-            pass
         key = secrets.token_hex(KEY_BYTES)
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
         fd = os.open(KEY_NAME, flags, 0o600, dir_fd=folder.fd)

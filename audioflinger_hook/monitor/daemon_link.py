@@ -62,7 +62,11 @@ class DaemonLink:
         async with self._asked(self._watch_request) as reader:
             hello = await _message(reader)
             if "hello" not in hello:
-                raise UsageError(_other_version(hello))
+                told = hello.get("error")
+                reason = one_line(told) if isinstance(told, str) else "its answer is not understood"
+                raise UsageError(
+                    f"the daemon is of another version than the page: {reason}; restart both"
+                )
             self._note(f"connected to version {hello['hello'].get('version')}", connected=True)
             while True:
                 for kind, content in (await _message(reader)).items():
@@ -119,9 +123,3 @@ async def _message(reader: asyncio.StreamReader) -> dict[str, Any]:
     if not isinstance(message, dict):
         raise InternalError("the daemon sent an invalid message; restart the daemon")
     return message
-
-
-def _other_version(answer: dict[str, Any]) -> str:
-    reason = answer.get("error")
-    reason = one_line(reason) if isinstance(reason, str) else "its answer is not understood"
-    return f"the daemon is of another version than the page: {reason}; restart both"

@@ -6,14 +6,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from prometheus_client import CollectorRegistry, generate_latest
-from prometheus_client.core import (
-    CounterMetricFamily,
-    GaugeMetricFamily,
-    HistogramMetricFamily,
-    InfoMetricFamily,
-    Metric,
-)
+from prometheus_client import CollectorRegistry, core, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily
 
 from audioflinger_hook import __version__
 from audioflinger_hook.monitor.clients import Clients
@@ -67,7 +61,7 @@ def metrics_text(source: Clients) -> bytes:
 class _Collector:
     source: Clients
 
-    def collect(self) -> Iterator[Metric]:
+    def collect(self) -> Iterator[core.Metric]:
         source, status = self.source, None
         document = source.latest.get("status", {})
         is_up = "version" in document  # a document that is no status has only an error text
@@ -80,7 +74,7 @@ class _Collector:
         )
         if is_up:
             build = {"version": str(document["version"]), "page_version": __version__}
-            yield InfoMetricFamily("cushion_build", "Versions of daemon and page.", build)
+            yield core.InfoMetricFamily("cushion_build", "Versions of daemon and page.", build)
         if status is not None:
             yield from _families(status)
             if (times := status.buffer_times).counts:
@@ -91,7 +85,7 @@ class _Collector:
                 yield hops
 
 
-def _families(status: Status) -> Iterator[Metric]:
+def _families(status: Status) -> Iterator[core.Metric]:
     found: dict[str, CounterMetricFamily | GaugeMetricFamily] = {}
     for entry, value in metrics(status):
         name = entry.figure.metric.partition("{")[0]

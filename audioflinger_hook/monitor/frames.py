@@ -108,9 +108,7 @@ class Frames:
         if self._memory is not None:
             self._memory.close()
             self._memory = None
-        if where is None:
-            return
-        with suppress(CushionError, OSError, ValueError, KeyError, TypeError):
+        with suppress(CushionError, OSError, ValueError, KeyError, TypeError):  # also for None
             name, channels, actuators = where["name"], where["channels"], where["actuators"]
             if not isinstance(channels, int) or not isinstance(actuators, int):
                 return

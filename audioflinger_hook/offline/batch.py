@@ -328,10 +328,9 @@ def _try_file(
 
     try:
         return Rendered(source, target, render_file(source, target, settings, progress=progress))
-    except CushionError as error:
-        return _failed(source, target, named(error, source))
     except Exception as error:
-        return _failed(source, target, named(unexpected(error), source))
+        known = error if isinstance(error, CushionError) else unexpected(error)
+        return _failed(source, target, named(known, source))
 
 
 def _failed(source: Path, target: Path, error: CushionError) -> Rendered:

@@ -6,13 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.pipeline.framework import (
-    OFFLINE_HAL_FRAMES,
-    Framework,
-    channel_map_of,
-    drive_of,
-    simulated_rig_of,
-)
+from audioflinger_hook.pipeline import framework as pipeline
+from audioflinger_hook.pipeline.framework import OFFLINE_HAL_FRAMES, Framework, channel_map_of
 from audioflinger_hook.pipeline.step import Pipeline, Step
 from audioflinger_hook.sources import Client, FileTap, TapClient
 from device.drive.exposure import Exposure
@@ -130,10 +125,10 @@ def render(
             recorder = WavOutput(
                 acceleration, rate, channel_map.channels, comment=ACCELERATION_COMMENT
             )
-            rig = simulated_rig_of(settings, rate, channel_map, recorder)
+            rig = pipeline.simulated_rig_of(settings, rate, channel_map, recorder)
             outputs.append(rig)
         faded = [FadedOutput(output, round(fade_s * rate)) for output in outputs]
-        drives = [drive_of(settings, rate, framework.haptic_channels) for _ in faded]
+        drives = [pipeline.drive_of(settings, rate, framework.haptic_channels) for _ in faded]
         driven = []
         for after, drive in zip(faded, drives, strict=True):
             # A delayed actuator first plays frames from before the sound: remove them afterwards.

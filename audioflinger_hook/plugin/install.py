@@ -3,7 +3,6 @@
 import json
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -31,39 +30,22 @@ LOADING_COMMANDS = (  # load the PipeWire configuration now, and at every login
 )
 
 
-@dataclass(frozen=True)
 class Places:
-    """Installation paths. data: folder of plugin and designs. chain: PipeWire's filter chain."""
+    """Installation paths of a user. UsageError: HOME is not an absolute path.
 
-    data: Path
-    bundle: Path
-    chain: Path
+    data: folder of the installed `plugin` and of the folder `designs`. bundle: for LV2. chain:
+    PipeWire's filter chain. host: configuration of the PipeWire process that loads the chain.
+    """
 
-    @classmethod
-    def of(cls, environ: Mapping[str, str]) -> "Places":
-        """Return the paths of a user. UsageError: HOME is not an absolute path."""
+    def __init__(self, environ: Mapping[str, str]) -> None:
         home = environ.get("HOME", "")
         if not home.startswith("/"):
             raise UsageError(f"HOME is {home!r}; allowed: an absolute path; set it")
         data = Path(environ.get("XDG_DATA_HOME") or f"{home}/.local/share")
-        config = Path(environ.get("XDG_CONFIG_HOME") or f"{home}/.config")
-        chain = config / "pipewire" / "filter-chain.conf.d" / CHAIN
-        return cls(data / "haptic-cushion", Path(home) / ".lv2" / "haptic-cushion.lv2", chain)
-
-    @property
-    def plugin(self) -> Path:
-        """Installed plugin."""
-        return self.data / FILE_NAME
-
-    @property
-    def host(self) -> Path:
-        """Configuration of the PipeWire process that loads the chain."""
-        return self.chain.parent.parent / HOST
-
-    @property
-    def designs(self) -> Path:
-        """Folder of designs."""
-        return self.data / "designs"
+        config = Path(environ.get("XDG_CONFIG_HOME") or f"{home}/.config") / "pipewire"
+        self.data, self.bundle = data / "haptic-cushion", Path(home) / ".lv2" / "haptic-cushion.lv2"
+        self.plugin, self.designs = self.data / FILE_NAME, self.data / "designs"
+        self.chain, self.host = config / "filter-chain.conf.d" / CHAIN, config / HOST
 
 
 def built_plugin() -> Path:

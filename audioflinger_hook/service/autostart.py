@@ -52,11 +52,6 @@ Keywords=haptics;vibration;shaker;bass;
     )
 
 
-def daemon_entry(program: Sequence[str]) -> str:
-    """Return the entry that starts the daemon at login on machines without systemd."""
-    return _entry("Turns sound into vibration", [*program, "run", "--wait"], "NoDisplay=true\n")
-
-
 def _entry(comment: str, command: Sequence[str], more: str) -> str:
     return f"""\
 {MARK}
@@ -140,7 +135,9 @@ def set_on(
     """
     program = command or install.own_command()
     if on and not has_systemd():
-        install.replace_own(_login_entry(environ), MARK, daemon_entry(program))
+        command = [*program, "run", "--wait"]
+        entry = _entry("Turns sound into vibration", command, "NoDisplay=true\n")
+        install.replace_own(_login_entry(environ), MARK, entry)
         return
     if install.installed_text(environ) is None and on:  # refuses a unit of another program
         install.install(["--wait"], program, environ, install.systemd_version())

@@ -8,16 +8,10 @@ from typing import TYPE_CHECKING
 from audioflinger_hook.service.figure import label_of, table
 from audioflinger_hook.service.meters import FLOOR_DBFS, Level
 from audioflinger_hook.service.one_line import one_line
-from audioflinger_hook.service.state import Cause, DaemonState
+from audioflinger_hook.service.state import READY, Cause, DaemonState
 
 if TYPE_CHECKING:
-    from audioflinger_hook.service.status import (
-        Endpoint,
-        GraphFigures,
-        LatencyBudget,
-        Partial,
-        Xruns,
-    )
+    from audioflinger_hook.service import status
 
 BAR_CELLS = 16
 BAR_RANGE_DB = 60.0
@@ -32,9 +26,7 @@ def duration(time_s: float) -> str:
     if minutes < 60:
         return f"{minutes} min {seconds:02d} s"
     hours, minutes = divmod(minutes, 60)
-    if hours < 48:
-        return f"{hours} h {minutes:02d} min"
-    return f"{hours // 24} d {hours % 24:02d} h"
+    return f"{hours} h {minutes:02d} min" if hours < 48 else f"{hours // 24} d {hours % 24:02d} h"
 
 
 def bar(level: Level, cells: int = BAR_CELLS) -> str:
@@ -50,7 +42,7 @@ def level(one: Level) -> str:
     return f"{bar(one)} peak {one.peak_dbfs:6.1f}, rms {max(FLOOR_DBFS, one.rms_dbfs):6.1f} dBFS"
 
 
-def endpoint(one: Endpoint) -> str:
+def endpoint(one: status.Endpoint) -> str:
     """Return name and address of a tap or device."""
     address, name = one_line(one.address), one_line(one.name or "")
     if one.name is None:
@@ -58,7 +50,7 @@ def endpoint(one: Endpoint) -> str:
     return address if name in ("", address) else f"{name} ({address})"
 
 
-def principal(partials: tuple[Partial, ...]) -> str:
+def principal(partials: tuple[status.Partial, ...]) -> str:
     """Return the strongest principal frequencies with their vibration frequencies in Hz."""
     strongest = sorted(partials, key=lambda one: -one.amplitude)[:PRINCIPAL_MAX]
     shown = ", ".join(f"{one.audio_hz:.0f} → {one.vibration_hz:.0f} Hz" for one in strongest)
@@ -66,7 +58,7 @@ def principal(partials: tuple[Partial, ...]) -> str:
     return f"{shown} and {more} more" if more else shown
 
 
-def latency(one: LatencyBudget) -> str:
+def latency(one: status.LatencyBudget) -> str:
     """Return the delay between sound and vibration, and the parts of the delay, in ms as text."""
     fields = [(label_of(name, known), name) for name, known, _ in table(type(one))]
     parts = [(label, getattr(one, name)) for label, name in fields if name != "total_ms"]
@@ -84,7 +76,7 @@ def offset_reason(reason: str) -> str:
     return reason + advice if reason == "not known" else reason
 
 
-def cycle(graph: GraphFigures) -> str:
+def cycle(graph: status.GraphFigures) -> str:
     """Return the length of a cycle of PipeWire's graph, "" before the first cycle."""
     if not graph.samplerate:
         return ""
@@ -92,7 +84,7 @@ def cycle(graph: GraphFigures) -> str:
     return f"{graph.cycle_frames} frames at {graph.samplerate} Hz ({cycle_ms:.1f} ms) a cycle"
 
 
-def xruns(one: Xruns) -> str:
+def xruns(one: status.Xruns) -> str:
     """Return the numbers of late or lost buffers at tap and output."""
     if one.tap is None or one.output is None:
         return "the server does not report them"
@@ -116,8 +108,7 @@ def seat(is_known: bool) -> str:
 
 def tone_of_state(state: DaemonState) -> str:
     """Return the tone of a state: "good", "wait" or ""."""
-    good = (DaemonState.RUNNING, DaemonState.IDLE)
-    return "good" if state in good else "wait" if state is not DaemonState.STOPPING else ""
+    return "good" if state in READY else "wait" if state is not DaemonState.STOPPING else ""
 
 
 def tone_of_gain(gain: float) -> str:
@@ -125,6 +116,6 @@ def tone_of_gain(gain: float) -> str:
     return "wait" if gain < 1.0 else ""
 
 
-def tone_of_xruns(one: Xruns) -> str:
+def tone_of_xruns(one: status.Xruns) -> str:
     """Return "good" without late or lost buffers, "wait" with such buffers, "" if unknown."""
     return "wait" if one.tap or one.output else "" if one.tap is None else "good"

@@ -35,11 +35,9 @@ class TapAddress:
 
 
 def parse_tap(text: str) -> TapAddress:
-    """Parse an address. A text without a colon is the name of a sink.
+    """Parse an address. text: of the form `GRAMMAR`; without a colon, it is the name of a sink.
 
-    text: an address as described by `GRAMMAR`.
-    UsageError: the kind is unknown, a name is missing, `default` has a name, or a path has no
-    "file:".
+    UsageError: the kind is unknown, a name is missing or of `default`, or a path has no "file:".
     """
     if text == "default":
         return TapAddress("default")
@@ -66,7 +64,7 @@ def parse_tap(text: str) -> TapAddress:
 def open_client(address: TapAddress) -> Client:
     """Open a client, with one track for each sound of a scene, or one track for other sources.
 
-    address: address of the sound. UsageError, NotFoundError: as for `open_tap`.
+    address: of the sound. UsageError, NotFoundError: as for `open_tap`.
     """
     return SceneClient(_scene(address)) if address.kind == "scene" else TapClient(open_tap(address))
 

@@ -94,10 +94,10 @@ class PartTap(SteadyTap):
     def __init__(
         self,
         tap: SteadyTap,
-        start_s: float = 0.0,
-        duration_s: float | None = None,
-        picked: Sequence[int] = (),
-        skipped: int = 0,
+        start_s: float,
+        duration_s: float | None,
+        picked: Sequence[int],
+        skipped: int,
     ) -> None:
         self._tap = tap
         self._picked = list(picked)

@@ -8,17 +8,9 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Annotated, Any
 
-from dbus_fast import BusType, Message, MessageType, PropertyAccess, Variant
+from dbus_fast import BusType, Message, MessageType, PropertyAccess, Variant, annotations
 from dbus_fast.aio import MessageBus
-from dbus_fast.annotations import (
-    DBusBool,
-    DBusInt32,
-    DBusObjectPath,
-    DBusSignature,
-    DBusStr,
-    DBusUInt32,
-    DBusVariant,
-)
+from dbus_fast.annotations import DBusInt32, DBusSignature, DBusStr, DBusUInt32
 from dbus_fast.service import ServiceInterface, dbus_method, dbus_property, dbus_signal
 
 from audioflinger_hook.service.autostart import NAME, install_icon
@@ -59,8 +51,8 @@ class Item(ServiceInterface):
     Title = _fixed("Title", DBusStr, "Haptic Cushion")
     Status = _fixed("Status", DBusStr, "Active")
     IconName = _fixed("IconName", DBusStr, NAME)
-    ItemIsMenu = _fixed("ItemIsMenu", DBusBool, True)
-    Menu = _fixed("Menu", DBusObjectPath, MENU_PATH)
+    ItemIsMenu = _fixed("ItemIsMenu", annotations.DBusBool, True)
+    Menu = _fixed("Menu", annotations.DBusObjectPath, MENU_PATH)
 
     @dbus_property(PropertyAccess.READ)
     def IconThemePath(self) -> DBusStr:
@@ -106,7 +98,7 @@ class Menu(ServiceInterface):
 
     @dbus_method()
     def Event(
-        self, number: DBusInt32, kind: DBusStr, content: DBusVariant, time: DBusUInt32
+        self, number: DBusInt32, kind: DBusStr, content: annotations.DBusVariant, time: DBusUInt32
     ) -> None:
         if kind == "clicked" and 1 <= number <= len(self._entries):
             request = self._entries[number - 1].request
@@ -114,7 +106,7 @@ class Menu(ServiceInterface):
                 self._chosen(request)
 
     @dbus_method()
-    def AboutToShow(self, number: DBusInt32) -> DBusBool:
+    def AboutToShow(self, number: DBusInt32) -> annotations.DBusBool:
         return False
 
     @dbus_signal()

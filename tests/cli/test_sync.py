@@ -55,7 +55,7 @@ def test_a_simulated_person_of_no_sense_is_refused_with_what_is_allowed(value):
 def test_a_negative_seed_and_answers_that_leave_the_delay_open_are_refused(monkeypatch):
     assert "seed=-1" in refused(call("sync", "--simulate", 100, "--seed", "-1"))
     guesses = partial(SimulatedPerson, lapses=1.0)
-    monkeypatch.setattr("audioflinger_hook.cli.sync.SimulatedPerson", guesses)
+    monkeypatch.setattr("audioflinger_hook.service.sync_trials.SimulatedPerson", guesses)
     said = refused(call("sync", "--simulate", 150, "--seed", 1, "--json"))
     assert "answers leave the delay between" in said
     assert "so nothing was stored; run `cushion sync` again" in said

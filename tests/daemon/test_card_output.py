@@ -50,7 +50,7 @@ class Rig:
         self.states, self.blocks = StateKeeper(0.0), 0
         wanted = config(f"hw:{name}", Settings(actuators=actuators), block_frames=256)
         known: Any = {"root": self.cards.root, "target": self.target} | options
-        self.output = CardOutput(wanted, pcms.pcms["cushion_output"], self.states, **known)
+        self.output = CardOutput(wanted, pcms.pcms["cushion_output"], self.states, None, **known)
 
     def target(self, card: int, device: int) -> Target:
         return ToFile(self.path(card, device))

@@ -94,7 +94,8 @@ class ApplicationsFeed:
 class ApplicationsInput(Input):
     """Captures the applications that the config's rules select."""
 
-    needs_server = True
+    needs_server = may_rest = True
+    why_silent = NONE_SUCH
 
     def __init__(self, config: RunConfig, states: StateKeeper, feed: ApplicationsFeed) -> None:
         super().__init__(_address(config))
@@ -106,16 +107,6 @@ class ApplicationsInput(Input):
         self._found = Applications()
         self._volume = TapVolume()
         self._xruns_before = 0
-
-    @property
-    def may_rest(self) -> bool:
-        """Whether all streams to capture are paused."""
-        return all(stream.corked for stream in self._found.streams)
-
-    @property
-    def why_silent(self) -> str:
-        """See `Input`."""
-        return self._found.why_silent
 
     @property
     def name(self) -> str | None:
@@ -173,6 +164,8 @@ class ApplicationsInput(Input):
             form.channel_map,
             sink,
         )
+        self.may_rest = all(stream.corked for stream in self._found.streams)
+        self.why_silent = self._found.why_silent
         return self._found
 
     def players(self, snapshot: ServerSnapshot | None) -> frozenset[int]:
@@ -189,16 +182,13 @@ class ApplicationsInput(Input):
 
     def maintain(self, connection: PulseConnection | None, now_s: float) -> None:
         """Capture the streams that `locate` found. LostError, NotFoundError: see `AppCaptures`."""
-        captures = self._captures
-        if captures is not None and captures.lost is not None:
-            self._states.recover(Cause.TAP_LOST, now_s, str(captures.lost))
+        if self._captures is not None and self._captures.lost is not None:
+            self._states.recover(Cause.TAP_LOST, now_s, str(self._captures.lost))
             self.close()
-            captures = None
         if self._backoff.wait_s(now_s) > 0.0:
             return
         try:
-            if captures is None:
-                captures = self._captures = AppCaptures()
+            captures = self._captures = self._captures or AppCaptures()
             wanted = {stream.index: stream for stream in self._found.streams}
             for index, (capture, _) in tuple(self._open.items()):
                 if capture.ended is EndReason.TAKEN:
@@ -217,9 +207,9 @@ class ApplicationsInput(Input):
         """End all captures. Repeated calls do nothing."""
         for index in tuple(self._open):
             self._end(index)
-        captures, self._captures = self._captures, None
-        if captures is not None:
-            captures.close()
+        if self._captures is not None:
+            self._captures.close()
+        self._captures = None
 
     def _begin(self, captures: AppCaptures, stream: Stream) -> None:
         voices = self._feed.voices

@@ -40,17 +40,13 @@ class Endpoint(ABC):
     """An input or an output, with its address."""
 
     needs_server = False  # whether the endpoint uses the sound server
+    may_rest = False  # whether the endpoint may be closed while nothing plays
 
     def __init__(self, address: object) -> None:
         self.address = address
 
     def __str__(self) -> str:
         return str(self.address)
-
-    @property
-    def may_rest(self) -> bool:
-        """Whether the endpoint may be closed while nothing plays."""
-        return False
 
     @property
     @abstractmethod
@@ -80,9 +76,10 @@ class Endpoint(ABC):
 
 
 class Input(Endpoint):
-    """A source of sound."""
+    """A source of sound. why_silent: tells the user why no sound arrives while it is idle."""
 
     address: str
+    why_silent = NOTHING
 
     @property
     def ended(self) -> bool:
@@ -99,11 +96,6 @@ class Input(Endpoint):
     def players(self, snapshot: ServerSnapshot | None) -> frozenset[int]:
         """Return the server's indexes of the streams that play to the located node."""
         return frozenset()
-
-    @property
-    def why_silent(self) -> str:
-        """Message for the user: why no sound arrives while the daemon is idle."""
-        return NOTHING
 
     def volume_db(self, snapshot: ServerSnapshot, left_out: LeftOut | None = None) -> float:
         """Return the volume in dB that the server applied to the captured sound, 0 if unknown.

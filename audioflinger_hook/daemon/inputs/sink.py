@@ -139,8 +139,7 @@ class SinkInput(Input):
             self._listener.close()
             return False
         heard, self._heard = self._heard, False
-        before = self._source
-        if self._listener.stream is not None and (before is None or before.index != source.index):
+        if self._listener.stream and (not self._source or self._source.index != source.index):
             self._listener.close()
         self._listener.check(now_s)
         with suppress(LostError, NotFoundError):  # the next snapshot shows what happened
@@ -219,10 +218,8 @@ class SinkInput(Input):
         if not self._retargeted:
             self._states.count(Cause.DEFAULT_CHANGED, f"the tap moves to {source.name}")
         served = find_tagged(connection.latest.source_outputs, stream.tag)
-        if served is None or (source.samplerate, source.channels) != (
-            stream.samplerate,
-            stream.channels,
-        ):
+        form = stream.samplerate, stream.channels
+        if served is None or (source.samplerate, source.channels) != form:
             self._capture.close()
             return
         guard.retarget(source.name)

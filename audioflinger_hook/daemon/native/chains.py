@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from audioflinger_hook.daemon.native.chain import NAME, Chain, ChainDesign, has_realtime
-from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns, drives_of
+from audioflinger_hook.daemon.native.plan import ChainPlan, DriveDesigns
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.drive.drive import DrivenRig
@@ -241,10 +241,9 @@ class Chains:
 
     def silence(self) -> bool:
         """Fade all chains out; return whether the fades have ended."""
-        running = self.running
-        for one in running:
+        for one in self.running:
             one.chain.page.set_audible(False)
-        return all(one.is_silent for one in running)
+        return all(one.is_silent for one in self.running)
 
     def end_leaving(self, graph: Graph, now_s: float) -> None:
         """End the chains in `leaving` for which `has_left` is true."""
@@ -261,27 +260,24 @@ class Chains:
         self.leaving.clear()
 
     def _begin(self, plan: ChainPlan, now_s: float) -> None:
-        if self.following is not None and self.following.chain.plan == plan:
-            return
         if self.following is not None:
+            if self.following.chain.plan == plan:
+                return
             self.following.chain.close()
             self.following = None
-        if self.backoff.wait_s(now_s) > 0.0:
-            return
-        drives = self._designed(plan, now_s)
-        if drives is None:
+        if self.backoff.wait_s(now_s) > 0.0 or (drives := self._designed(plan, now_s)) is None:
             return
         realtime = self._config.live.realtime
         chain = Chain(plan, drives, self._folder, self._prepare, realtime=realtime)
         self.following = RunningChain(chain, now_s, moved_s=now_s)
 
     def _designed(self, plan: ChainPlan, now_s: float) -> list[DriveDesign | None] | None:
-        drives: list[DriveDesign | None] | None = None
         try:
             drives = self._designs.of(plan.drive_plans(), now_s)
         except LostError:
             if self.current is None:
                 raise
+            drives = None
         failure = self._designs.failure if self.current is not None else ""
         self.problem = f"the former settings play on: {failure}" if failure else ""
         return drives
@@ -298,7 +294,7 @@ class Chains:
         has: the design that follows protects the actuator at the new gain.
         """
         settings, offset_s = self._config.settings, self._offset_s
-        page, plan, holds = chain.page, playing.plan, playing.plan.drives != drives_of(settings)
+        page, plan, holds = chain.page, playing.plan, playing.plan.drives != settings.drives
         level = 0.0 if self._config.muted else db_to_amplitude(settings.gain_db)
         if not settings.actuators:
             for slot in range(len(plan.actuators)):

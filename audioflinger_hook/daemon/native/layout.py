@@ -4,14 +4,8 @@ import ctypes
 import mmap
 import struct
 
-from audioflinger_hook.core.structures import (
-    CHANNELS,
-    PARTIALS,
-    ActuatorReadings,
-    Controls,
-    Level,
-    Readings,
-)
+from audioflinger_hook.core import structures
+from audioflinger_hook.core.structures import CHANNELS, PARTIALS, Controls, Level, Readings
 
 MAGIC = 0x3645474150485543
 BANKS = 2  # design n uses bank n % BANKS
@@ -41,7 +35,7 @@ _FRAMES_AT = Bank.readings.offset + Readings.frames.offset
 _SEQUENCE_AT = Bank.readings.offset + Readings.sequence.offset
 _SHOWN_AT = Bank.readings.offset + Readings.sound.offset
 _LEVEL_BYTES = ctypes.sizeof(Level)
-_AFTER_LEVEL = ctypes.sizeof(ActuatorReadings) - _LEVEL_BYTES
+_AFTER_LEVEL = ctypes.sizeof(structures.ActuatorReadings) - _LEVEL_BYTES
 
 
 # Numbers of channels, actuators and partials, then values. A channel or actuator has peak and mean

@@ -45,18 +45,14 @@ class ChainPlan:
         """Return the plan for settings, a tap and the graph's sample rate in Hz."""
         sources = settings.sources
         outputs = len(sources) or (tap.channels if settings.channels == "each" else 1)
-        if settings.actuators:
-            routed = tuple(sources.index(actuator.source) for actuator in settings.actuators)
-        else:
-            routed = tuple(range(outputs))
+        routed = tuple(sources.index(one.source) for one in settings.actuators)
+        routed = routed or tuple(range(outputs))
         # As in the Python engine, the mix alone needs no weights.
         mixed = () if sources in ((), ("mix",)) else sources
-        parameters, drives = settings.transform_parameters, drives_of(settings)
+        chosen, drives = settings.transform_parameters, settings.drives
         if tap.is_trial:
             mixed, routed = (), (0,) * len(routed)
-        return cls(
-            samplerate, tap.channels, mixed, outputs, routed, parameters, drives, tap.is_trial
-        )
+        return cls(samplerate, tap.channels, mixed, outputs, routed, chosen, drives, tap.is_trial)
 
     @property
     def node(self) -> tuple[int, int, int]:
@@ -93,15 +89,6 @@ class ChainPlan:
             drives=[drive for drive in drives for _ in range(self.columns)],
             delay_frames_max=round(DELAY_MAX_S * self.samplerate),
         )
-
-
-def drives_of(settings: Settings) -> tuple[tuple[str, ...], ...]:
-    """Return `ChainPlan.drives` for settings."""
-    names = ("rig", "damping", "protection", "exposure_cap")
-    return tuple(
-        tuple(getattr(one, name) or getattr(settings, name) for name in names)
-        for one in settings.actuators or (settings,)
-    )
 
 
 class DriveDesigns:

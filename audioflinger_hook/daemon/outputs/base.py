@@ -96,11 +96,7 @@ class StreamOutput(Output, Generic[NodeT]):
     _identity: "attrgetter[Any]"  # the part of a node that changes if it is plugged in again
 
     def __init__(
-        self,
-        config: RunConfig,
-        pcm: Pcm,
-        states: StateKeeper,
-        priority: AudioPriority | None = None,
+        self, config: RunConfig, pcm: Pcm, states: StateKeeper, priority: AudioPriority | None
     ) -> None:
         super().__init__(config.device)
         self.block_frames = config.live.block_frames
@@ -208,14 +204,10 @@ class StreamOutput(Output, Generic[NodeT]):
         """Return the actuator of each channel. UsageError: the device lacks channels."""
 
     def _playback(
-        self,
-        node: NodeT,
-        fill: Fill,
-        set_volume: SetVolume,
-        sample_format: SampleFormat,
+        self, node: NodeT, fill: Fill, set_volume: SetVolume, sample_format: SampleFormat
     ) -> PlaybackStream:
         self.volume.set(set_volume)
-        sent: Callable[[Float32Array, float], None] | None = None
+        sent = None
         if self._recording is not None:
             self._recording.reopened()
             sent = partial(self._recording.sent, samplerate=node.samplerate)

@@ -60,8 +60,7 @@ class SinkOutput(StreamOutput[Sink]):
         device = device_of_sink(sink, find_devices().devices)
         for name in hw_names(device) if device else ():
             with suppress(NotFoundError):  # the device was unplugged meanwhile
-                found = measure_rate(find_playback(name.removeprefix("hw:")))
-                if found is not None:
+                if found := measure_rate(find_playback(name.removeprefix("hw:"))):
                     return found
         return None
 
