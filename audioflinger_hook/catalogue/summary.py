@@ -60,9 +60,8 @@ class Summary:
 
     def document(self) -> dict[str, Any]:
         """Return the summary as a JSON document."""
-        counts = ("items", "rendered", "skipped", "failed")
         return {
-            **{name: getattr(self, name) for name in counts},
+            **{name: getattr(self, name) for name in ("items", "rendered", "skipped", "failed")},
             "sound_s": round(self.sound_s, 3),
             "worker_s": round(self.worker_s, 3),
             "slowest": [{"id": one[2], "seconds": one[0]} for one in _descending(self.slowest)],

@@ -93,8 +93,7 @@ def _transients(
 ) -> list[dict[str, Any]]:
     events = []
     for one in envelope.transients:
-        level = envelope.level[one.place]
-        intensity = min(1.0, float(np.sqrt(one.amplitude)) / max(level, 1e-6))
+        intensity = min(1.0, float(np.sqrt(one.amplitude)) / max(envelope.level[one.place], 1e-6))
         wanted = sharpness_of(to_device_hz(np.array(one.hz), band_hz))
         added = float(np.clip(wanted - sharpness[one.place], 0.0, 1.0))
         events.append(

@@ -267,5 +267,4 @@ def _errors(
 def _mean(square: FloatArray, half: int) -> FloatArray:
     window = np.hanning(2 * half + 3)[1:-1]
     part = slice(half, half + square.size)
-    weight = np.convolve(np.ones(square.size), window)[part]
-    return np.convolve(square, window)[part] / weight
+    return np.convolve(square, window)[part] / np.convolve(np.ones(square.size), window)[part]

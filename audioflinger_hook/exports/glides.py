@@ -159,8 +159,7 @@ class CurveReader:
                 added = np.stack((signal, power, power * hz), axis=1)
                 for one, place in zip(added, first[chosen].tolist(), strict=True):
                     self._sums[:, place : place + one.shape[1]] += one
-        sample_frames = design.grid.decimation * self._steps
-        samples = int(frame // sample_frames) - self._samples
+        samples = int(frame // (design.grid.decimation * self._steps)) - self._samples
         if samples <= 0:
             return
         self._samples += samples
@@ -177,8 +176,7 @@ class CurveReader:
         self._hz.append(hz.astype(np.float32))
 
     def _reserve(self, steps: int) -> None:
-        lacking = max(0, steps - self._sums.shape[1])
-        self._sums = np.pad(self._sums, ((0, 0), (0, lacking)))
+        self._sums = np.pad(self._sums, ((0, 0), (0, max(0, steps - self._sums.shape[1]))))
 
     def curve(self, duration_s: float) -> VibrationCurve:
         """Return the curve of the vibration of the whole sound."""
@@ -224,7 +222,6 @@ def held(hz: NDArray[np.float32]) -> NDArray[np.float32]:
     known = np.isfinite(hz)
     if not known.any():
         return np.full(hz.size, 100.0, np.float32)
-    place = np.where(known, np.arange(hz.size), -1)
-    last = np.maximum.accumulate(place)
+    last = np.maximum.accumulate(np.where(known, np.arange(hz.size), -1))
     last[last < 0] = int(known.argmax())
     return hz[last]

@@ -127,8 +127,7 @@ class SoundFileOutput:
             self.limited_samples += int(np.count_nonzero(np.abs(samples) > 1.0))
             np.clip(samples, -1.0, 1.0, out=samples)
         self._held = np.concatenate((self._held, samples)) if len(self._held) else samples
-        whole = len(self._held) - len(self._held) % BLOCK_FRAMES
-        self._encode(whole)
+        self._encode(len(self._held) - len(self._held) % BLOCK_FRAMES)
 
     def close(self) -> None:
         """Encode the remaining samples, and give the file its final name."""

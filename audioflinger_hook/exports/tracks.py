@@ -81,8 +81,7 @@ class PartialTrack:
             return self
         hz = to_device_hz(self.hz, band_hz)
         turned = np.cumsum(np.diff(self.time_s) * (hz[1:] + hz[:-1]) / 2)
-        turns = self.turns[0] + np.concatenate(([0.0], turned))
-        return replace(self, hz=hz, turns=turns)
+        return replace(self, hz=hz, turns=self.turns[0] + np.concatenate(([0.0], turned)))
 
 
 @dataclass(frozen=True)

@@ -134,8 +134,7 @@ class ReferenceTransform:
 
     def cut_last(self) -> FloatArray:
         """Return the incomplete unit, padded with zeros, (1, N); (0, N) if there is none."""
-        padding = -self._pending.size % self.latency_frames
-        last = np.concatenate((self._pending, np.zeros(padding)))
+        last = np.concatenate((self._pending, np.zeros(-self._pending.size % self.latency_frames)))
         self._pending = last[:0]
         return last.reshape(-1, self.latency_frames)
 

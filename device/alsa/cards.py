@@ -186,8 +186,7 @@ def find_owner(playback: AlsaDevice, processes: Path = Path("/proc")) -> str | N
             return None
         digits = read_fields(status).get("owner_pid", "")
         if first is None and digits.isdecimal():
-            thread = processes / digits
-            process = read_fields(thread / "status").get("Tgid", digits)
+            process = read_fields(processes / digits / "status").get("Tgid", digits)
             name = read_text(processes / process / "comm").strip() or "another program"
             first = f"{name} (process {process})"
     return first

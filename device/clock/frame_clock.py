@@ -97,8 +97,7 @@ class FrameClock:
         counted_s = (frames - self._frames) * self._nominal_s
         later_s = now_s - self._time_s - counted_s
         late_s = later_s - self._offset_s - self._deviation * counted_s
-        early_s = self._fallen_s - late_s
-        if frames < reading.frames or late_s > STALLED_S or early_s > EARLY_S:
+        if frames < reading.frames or late_s > STALLED_S or self._fallen_s - late_s > EARLY_S:
             return self._begin(now_s, frames)
         seconds = (frames - reading.frames) * self._nominal_s
         outlier = late_s > self._usual_s + _OUTLIER * self._spread_s

@@ -48,8 +48,7 @@ class Hardening:
         square = x * x
         risen = self.rise * square
         first = (self.stiffness + risen) * x
-        value = (0.5 * self.stiffness + 0.25 * risen) * square
-        return value, first, self.stiffness + 3.0 * risen
+        return (0.5 * self.stiffness + 0.25 * risen) * square, first, self.stiffness + 3.0 * risen
 
 
 @dataclass(frozen=True)

@@ -187,12 +187,11 @@ def default_name(name: str | None) -> str:
 
 def _sink(item: Any, kind: str) -> Sink:
     by_property = item.proplist.get("monitor.channel-volumes") == "true"
-    in_software = not item.flags & HARDWARE_VOLUME
     return Sink(
         monitor=item.monitor_source_name or "",
         module=_known(item.owner_module),
         volume_db=decibels(_loudest(item)),
-        volume_in_monitor=by_property if kind == "PipeWire" else in_software,
+        volume_in_monitor=by_property if kind == "PipeWire" else not item.flags & HARDWARE_VOLUME,
         flat_volumes=bool(item.flags & FLAT_VOLUMES),
         **_device(item),
     )

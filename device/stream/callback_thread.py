@@ -103,8 +103,7 @@ def priority_advice() -> str:
 def _real_time() -> bool:
     """Give the calling thread real-time priority; return whether that was permitted."""
     policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
-    allowed = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
-    for priority in (PRIORITY, min(PRIORITY, allowed)):
+    for priority in (PRIORITY, min(PRIORITY, resource.getrlimit(resource.RLIMIT_RTPRIO)[0])):
         with suppress(OSError, ValueError):
             os.sched_setscheduler(0, policy, os.sched_param(priority))
             return True

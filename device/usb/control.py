@@ -79,8 +79,7 @@ def read_descriptors(device: UsbAudioDevice) -> bytes:
     try:
         blocks = [bytes(get_descriptor(handle, LEAST_BYTES[DEVICE], DEVICE, 0))]
         for index in range(handle.bNumConfigurations):
-            least = LEAST_BYTES[CONFIGURATION]
-            head = bytes(get_descriptor(handle, least, CONFIGURATION, index))
+            head = bytes(get_descriptor(handle, LEAST_BYTES[CONFIGURATION], CONFIGURATION, index))
             length = int.from_bytes(head[2:4], "little")  # wTotalLength
             blocks.append(bytes(get_descriptor(handle, length, CONFIGURATION, index)))
     except usb.core.USBError as error:
@@ -226,8 +225,7 @@ class UsbControl:
         """Restore the settings that differ from a stored state, with volumes of at most 0 dB."""
         now = self.state()
         for channel, units in set(state.volumes) - set(now.volumes):
-            loudest = requests.volume_units(MAX_VOLUME_DB)
-            self._set_units(channel, min(units, loudest))
+            self._set_units(channel, min(units, requests.volume_units(MAX_VOLUME_DB)))
         for channel, muted in set(state.mutes) - set(now.mutes):
             self.set_muted(channel, muted)
         if state.samplerate and state.samplerate != now.samplerate:

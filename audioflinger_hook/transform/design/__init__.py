@@ -141,8 +141,7 @@ def _taken(values: Records, name: str, kind: type) -> Any:
 def _designed(parameters: TransformParameters, samplerate: int, find_onsets: bool) -> LiveDesign:
     grid = LiveGrid.at(parameters, samplerate)
     spectrum = Spectrum.of(parameters, samplerate)
-    top_bin = int((parameters.band_high_hz + BAND_MARGIN_HZ) / spectrum.bin_hz)
-    bins = min(spectrum.bins, top_bin)
+    bins = min(spectrum.bins, int((parameters.band_high_hz + BAND_MARGIN_HZ) / spectrum.bin_hz))
     live = replace(parameters, threshold_hz=parameters.live_threshold_hz)
     full_scale_r = parameters.unit_strength_hz(samplerate) / STRAIGHT_LINES
     mapping = VibrationMapping.of(parameters, full_scale_r)

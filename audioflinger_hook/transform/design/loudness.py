@@ -114,7 +114,6 @@ class LoudnessDesign:
         edges, highs = _high_bands(onsets, samplerate / onsets.short_length)
         bands = [*dict.fromkeys(LOW_BAND_OF[low] for low in lows), *highs]
         quiet_db, groups = QUIET_DB[bands], np.searchsorted(bands, GROUPS)
-        widths = np.diff((0.0, *BARKS))[bands]
         return cls(
             low_smooth=_smoothing(grid.decimation, samplerate),
             quadrature=np.array(QUADRATURE) ** 2,
@@ -125,7 +124,7 @@ class LoudnessDesign:
             # The factor 2 is the inverse of the mean square of a full-scale tone.
             high_weights=2.0 * 10.0 ** (0.1 * OVER_QUIET_DB[highs]),
             loudness_scale=0.0635 * 10.0 ** (0.025 * quiet_db),
-            loudness_widths=widths,
+            loudness_widths=np.diff((0.0, *BARKS))[bands],
             loudness_groups=np.unique(groups).astype(np.float64),
         )
 

@@ -174,9 +174,8 @@ class SynthesisDesign:
         time = np.arange(1, grid.steps + 1) / grid.steps
         turn, turn_glide = glide_turns(grid.steps, grid.hop_s)
         _, tick_turn_glide = glide_turns(grid.tick_steps, grid.tick_s)
-        ring_s = RING_OUT_CYCLES / parameters.vibration_top_hz
         return cls(
-            ring_hops=int(np.ceil(ring_s / grid.hop_s)),
+            ring_hops=int(np.ceil(RING_OUT_CYCLES / parameters.vibration_top_hz / grid.hop_s)),
             attack=0.5 - 0.5 * np.cos(np.pi * np.minimum(1.0, time / ATTACK_HOPS)),
             glide=glide_shape(grid.steps),
             seconds=turn / (2.0 * np.pi),
@@ -198,10 +197,8 @@ class SynthesisDesign:
         low_rate_hz = samplerate / self.phases.shape[1]
         either_side = np.array([hz - step_hz, hz + step_hz])
         passed = _passed(self.low_b, self.low_a, self.low_sections, either_side, low_rate_hz)
-        turn = np.angle(passed[0] / passed[1])
-        low_pass_s = turn / (2.0 * np.pi * 2.0 * step_hz)
-        interpolation_s = (self.phases.size - 1) / 2 / samplerate
-        return float(low_pass_s + interpolation_s)
+        low_pass_s = np.angle(passed[0] / passed[1]) / (2.0 * np.pi * 2.0 * step_hz)
+        return float(low_pass_s + (self.phases.size - 1) / 2 / samplerate)
 
 
 def _passed(

@@ -36,8 +36,7 @@ def amplifier_sections(
     amplifier: AmplifierParameters, models: Sequence[ActuatorParameters], samplerate: float
 ) -> FloatArray:
     """Return the amplifier's filters, except a low-pass far above all resonances, (n, 6)."""
-    highest_hz = max(model.resonance_hz for model in models)
-    far = amplifier.high_cut_hz > _FAR_ABOVE * highest_hz
+    far = amplifier.high_cut_hz > _FAR_ABOVE * max(model.resonance_hz for model in models)
     return Band(amplifier.low_cut_hz, np.inf if far else amplifier.high_cut_hz, samplerate).sections
 
 
@@ -138,8 +137,7 @@ def _cascade(sections: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, 
     turn, enter, leave, through = np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0
     for section in sections:
         own, entered, left, direct, _ = _section(section)
-        corner = np.outer(entered, leave)
-        turn = np.block([[turn, np.zeros((len(turn), 2))], [corner, own]])
+        turn = np.block([[turn, np.zeros((len(turn), 2))], [np.outer(entered, leave), own]])
         enter = np.concatenate([enter, entered * through])
         leave = np.concatenate([leave * direct, left])
         through *= direct
