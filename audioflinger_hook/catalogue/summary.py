@@ -3,7 +3,7 @@
 import heapq
 import json
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
@@ -108,11 +108,12 @@ def _descending(heap: list[Ranked]) -> list[Ranked]:
     return sorted(heap, reverse=True)
 
 
-class Failures(AbstractContextManager["Failures"]):
+class Failures(ExitStack):
     """Collects the failed items as a manifest, in a temporary file. A context manager."""
 
     def __init__(self) -> None:
-        self._file: IO[bytes] = TemporaryFile()  # noqa: SIM115
+        super().__init__()
+        self._file: IO[bytes] = self.enter_context(TemporaryFile())  # noqa: SIM115
 
     def add(self, outcome: Outcome) -> None:
         """Add an item that failed."""
@@ -132,16 +133,14 @@ class Failures(AbstractContextManager["Failures"]):
 
         storage.put(name, copy)
 
-    def __exit__(self, *_error: object) -> None:
-        self._file.close()
 
-
-class Page(AbstractContextManager["Page"]):
+class Page(ExitStack):
     """Collects the pictures of a run in temporary files. A context manager."""
 
     def __init__(self) -> None:
-        self._ordinary: IO[bytes] = TemporaryFile()  # noqa: SIM115
-        self._strange: IO[bytes] = TemporaryFile()  # noqa: SIM115
+        super().__init__()
+        self._ordinary: IO[bytes] = self.enter_context(TemporaryFile())  # noqa: SIM115
+        self._strange: IO[bytes] = self.enter_context(TemporaryFile())  # noqa: SIM115
         self._pictures = self._left_out = 0
 
     def add(self, outcome: Outcome) -> None:
@@ -173,10 +172,6 @@ class Page(AbstractContextManager["Page"]):
             if self._left_out:
                 file.write(f"<p>{self._left_out} more items have no picture here.</p>\n".encode())
         return path
-
-    def __exit__(self, *_error: object) -> None:
-        self._ordinary.close()
-        self._strange.close()
 
 
 def _figure(outcome: Outcome, reason: str) -> str:

@@ -190,9 +190,7 @@ def insert_index(new: EffectDescriptor, chain: Sequence[EffectDescriptor]) -> in
         lasts = [index for index, place in places if place == EffectFlag.INSERT_LAST]
         return lasts[0] if lasts else len(chain)
     firsts = [index for index, place in places if place == EffectFlag.INSERT_FIRST]
-    if firsts:
-        return firsts[-1] + 1
-    return places[0][0] if places else len(chain)
+    return firsts[-1] + 1 if firsts else places[0][0] if places else len(chain)
 
 
 PLACE_NAMES = {

@@ -1,7 +1,7 @@
 """An effect's lifecycle and commands, as in AudioFlinger's EffectModule."""
 
 from dataclasses import replace
-from enum import Enum, auto
+from enum import Enum
 from pathlib import PurePath
 from traceback import walk_tb
 
@@ -27,17 +27,8 @@ READING = (Command.GET_PARAM, Command.GET_CONFIG, Command.DUMP)
 FRAMEWORK_ONLY = (Command.INIT, Command.SET_CONFIG)
 
 
-class EffectState(Enum):
-    """State of an effect. STOPPED: the effect is disabled, but still outputs its decaying tail."""
-
-    IDLE = auto()
-    STARTING = auto()
-    ACTIVE = auto()
-    STOPPING = auto()
-    STOPPED = auto()
-    RESTART = auto()
-    DESTROYED = auto()
-
+# state of an effect; STOPPED: the effect is disabled, but still outputs its decaying tail
+EffectState = Enum("EffectState", "IDLE STARTING ACTIVE STOPPING STOPPED RESTART DESTROYED")
 
 ENABLED = (EffectState.STARTING, EffectState.ACTIVE, EffectState.RESTART)
 ON_ENABLE = {
@@ -231,8 +222,7 @@ class EffectControl:
     def _start(self) -> None:
         if self.fault:
             self._forgive()
-            self._initialised = False
-            self._running = False
+            self._initialised = self._running = False
             self._configure()
         if self.fault:
             self.state = EffectState.IDLE

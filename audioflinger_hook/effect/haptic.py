@@ -251,11 +251,11 @@ class HapticEffect:
         if not isinstance(config, EffectConfig) or not config.haptic_channels:
             return EINVAL
         before, vibration = self._config, self._vibration
-        same_sound = before is not None and (before.samplerate, before.channels) == (
+        same = before and (before.samplerate, before.channels) == (
             config.samplerate,
             config.channels,
         )
-        if vibration is None or not same_sound:
+        if vibration is None or not same:
             transform = transform_for(config, self._values)
             if transform is None:
                 return EINVAL

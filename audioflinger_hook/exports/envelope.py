@@ -85,10 +85,8 @@ def fitted(times: FloatArray, values: FloatArray, knots: FloatArray) -> FloatArr
     wanted += np.bincount(place + 1, share * values, size)
     # The curve's values at the knots have a small weight, so that knots without samples get values.
     bands = np.vstack((np.concatenate(([0.0], beside[:-1])), diagonal + TIED))
-    found: FloatArray = scipy.linalg.solveh_banded(
-        bands, wanted + TIED * np.interp(knots, times, values)
-    )
-    return found
+    aim = wanted + TIED * np.interp(knots, times, values)
+    return np.asarray(scipy.linalg.solveh_banded(bands, aim))
 
 
 SMOOTHED_S = 0.03

@@ -75,8 +75,7 @@ def rising(design: LiveDesign, rows: FloatArray) -> NDArray[np.bool_]:
     of_hop = rows[:, SLOT] < first_onset_slot(design)
     rise = np.where(of_hop, rows[:, END_LEVEL] - rows[:, START_LEVEL], 0.0)
     _, hop = np.unique(rows[:, FRAME], return_inverse=True)
-    found: NDArray[np.bool_] = of_hop & (np.bincount(hop, rise)[hop] > design.synthesis.still)
-    return found
+    return np.asarray(of_hop & (np.bincount(hop, rise)[hop] > design.synthesis.still))
 
 
 def analytic(

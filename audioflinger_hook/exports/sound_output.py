@@ -300,10 +300,16 @@ class LeakMeter(WrappedOutput):
     def write(self, vibration: FloatArray | Float32Array) -> None:
         """Measure a block, (frames, channels), and pass it on."""
         check_channels(vibration, self.channels)
-        self._measure(vibration)
         if self._watch and len(vibration):
             self._watch.watch(vibration, self.samplerate)
         super().write(vibration)
+        while len(vibration):
+            taken = vibration[: self._held.shape[1] - self._filled]
+            self._held[:, self._filled : self._filled + len(taken)] = taken.T
+            self._filled += len(taken)
+            vibration = vibration[len(taken) :]
+            if self._filled == self._held.shape[1]:
+                self._add_windows(BATCH_WINDOWS)
 
     def close(self) -> None:
         """Measure the last windows, and close the output."""
@@ -315,15 +321,6 @@ class LeakMeter(WrappedOutput):
         if self._watch:
             self._watch.finish(self._power.T, self.samplerate)
         super().close()
-
-    def _measure(self, vibration: FloatArray | Float32Array) -> None:
-        while len(vibration):
-            taken = vibration[: self._held.shape[1] - self._filled]
-            self._held[:, self._filled : self._filled + len(taken)] = taken.T
-            self._filled += len(taken)
-            vibration = vibration[len(taken) :]
-            if self._filled == self._held.shape[1]:
-                self._add_windows(BATCH_WINDOWS)
 
     def _add_windows(self, count: int) -> None:
         window = _window(self._hop)

@@ -70,10 +70,8 @@ class PartialTrack:
         slope = np.diff(self.hz)[place] / length
         # Linear frequency does not give the exact phase: spread the difference over the interval.
         missed = np.diff(self.turns)[place] - length * (self.hz[place] + 0.5 * slope * length)
-        turns: FloatArray = self.turns[place] + since * (
-            self.hz[place] + 0.5 * slope * since + missed / length
-        )
-        return turns
+        mean_hz = self.hz[place] + 0.5 * slope * since + missed / length
+        return np.asarray(self.turns[place] + since * mean_hz)
 
     def on_device(self, band_hz: Band | None) -> "PartialTrack":
         """Return the track with its frequencies mapped to a device's band; see `to_device_hz`."""

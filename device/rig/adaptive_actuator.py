@@ -115,10 +115,8 @@ class AdaptiveActuator:
 
     def move(self, volts: FloatArray, outputs: Sequence[str] = QUANTITIES) -> Motion:
         """Return the motion, always finite, for the amplifier's open-circuit volts, (frames,)."""
-        finite = np.ascontiguousarray(volts, dtype=np.float64)
-        if not blocks.peak(finite) <= _ABSURD_V:  # also true for NaN
-            finite, replaced = finite_or_zero(finite, _ABSURD_V)
-            self.replaced_samples += replaced
+        finite, replaced = finite_or_zero(np.ascontiguousarray(volts, dtype=np.float64), _ABSURD_V)
+        self.replaced_samples += replaced
         whole, block = len(finite), self.block_frames
         moved = np.empty((self._rows, whole))
         first = min(block - self._frames % block, whole)

@@ -243,9 +243,7 @@ class Graph:
 
 def _wiring(one: Node | Port | Link) -> object:
     """Return the part of an object whose change `apply` reports; a new state is no change."""
-    if isinstance(one, Node):
-        return one.properties
-    return one.pair if isinstance(one, Link) else one
+    return one.properties if isinstance(one, Node) else one.pair if isinstance(one, Link) else one
 
 
 def _latency(parameters: Any) -> PortLatency:

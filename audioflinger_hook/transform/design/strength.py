@@ -94,9 +94,7 @@ class StrengthDesign:
     start_near: float = 10.0
     far: float = 20.0  # larger differences of peak loudness and programme level count as this
     floor_under: float = 35.0  # the gate's noise floor is at least this below the programme level
-    gate_margin: float = (
-        0.01  # the gate is closed up to this share of its width above the noise floor
-    )
+    gate_margin: float = 0.01  # the gate is closed up to this share of its width above the floor
     jump: float = 10.0  # a larger rise in one tick is a jump
     group_sone: float = GROUP_SONE
     silence_db: float = 10.0 * math.log2(GROUP_SONE)  # level of a group of bands in silence
@@ -108,20 +106,12 @@ class StrengthDesign:
     boost_slope: float = 4.0  # dB of boost per dB of rise above `boost_deviations`
     boost_share_from: float = 0.02  # smallest share of the total loudness for a boost
     boost_share_width: float = 0.05  # for the full boost the share must be larger by this
-    boost_natural: float = (
-        0.5  # dB subtracted from a boost, besides the rise that the total loudness causes
-    )
+    boost_natural: float = 0.5  # dB subtracted from a boost, besides the rise by total loudness
     beat_hz: float = 50.0  # largest distance of partials whose beats are compensated
     beat_width_hz: float = 25.0  # beats below beat_hz - beat_width_hz are fully compensated
-    beat_least: float = (
-        0.35  # beats are compensated down to this share of the amplitude without beats
-    )
-    weakest_step: float = (
-        0.2  # each step's amplitude counts as at least this share of the largest in its tick
-    )
-    concentrated: float = (
-        4.0  # largest exponent of the sensitivities that weight amplitudes above `ceiling`
-    )
+    beat_least: float = 0.35  # beats are compensated down to this share of the steady amplitude
+    weakest_step: float = 0.2  # least amplitude of a step, as a share of the largest in its tick
+    concentrated: float = 4.0  # largest exponent of the weights of amplitudes above `ceiling`
     nothing: float = 1e-9  # sone; avoids a division by 0
 
     @classmethod

@@ -46,9 +46,7 @@ This value leaves 7 % of full scale for the overshoot of the low-pass."""
 
 BEGIN_S = 0.005  # fade-in at the start of a stream
 EDGE_MARGIN = 1.01  # ratio of the pass band's end to the top vibration frequency
-LEAST_EDGE_HZ = (
-    220.0  # lowest end of the pass band with loudness control, or if strength is not "flat"
-)
+LEAST_EDGE_HZ = 220.0  # lowest end of the pass band, except for strength "flat" without control
 TAPS = 4  # coefficients per interpolated frame; the delay is two steps, 0.7 ms
 FITTED_AT = 200  # number of frequencies for the least-squares fit of the interpolation
 

@@ -108,8 +108,7 @@ class DriveModel:
 
     def _moved(self, volts: FloatArray, quantity: Quantity) -> FloatArray:
         actuator = LinearActuator(self.model, self.samplerate, self.source_impedance_ohm)
-        moved: FloatArray = getattr(actuator.move(volts, (quantity,)), quantity)
-        return moved
+        return np.asarray(getattr(actuator.move(volts, (quantity,)), quantity))
 
     def _horizon(self) -> int:
         """Return the number of frames until all oscillation has decayed to e^-25; 0 if too many."""
@@ -150,10 +149,8 @@ def _section(section: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, f
     own = np.array([[-a1, 1.0], [-a2, 0.0]])
     entered = np.array([b1 - a1 * b0, b2 - a2 * b0])
     values, vectors = np.linalg.eig(own)
-    if abs(values[0].imag) > 0.0:
-        shape = np.column_stack([vectors[:, 0].real, vectors[:, 0].imag])
-    else:
-        shape = vectors.real
+    first = vectors[:, 0]
+    shape = np.column_stack([first.real, first.imag]) if values[0].imag else vectors.real
     shape = shape / np.linalg.norm(shape[0])
     back = np.linalg.inv(shape)
     return back @ own @ shape, back @ entered, shape[0], b0, shape
