@@ -156,8 +156,7 @@ def values_of(row: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
     values: dict[str, Any] = {}
     mistakes = []
     for name, value in _from_lhotse(row).items():
-        ours = ALIASES.get(name, name)
-        if ours in COLUMNS:
+        if (ours := ALIASES.get(name, name)) in COLUMNS:
             if ours not in values:
                 values[ours] = value
             elif values[ours] != value:
@@ -169,8 +168,7 @@ def values_of(row: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
         return values, mistakes
     # Convert the values to the types of the fields where possible.
     found = {name: value for name, value in values.items() if value is not None}
-    channels = found.get("channels")
-    if type(channels) is int:
+    if type(channels := found.get("channels")) is int:
         found["channels"] = (channels,)
     elif isinstance(channels, list):
         found["channels"] = tuple(channels)

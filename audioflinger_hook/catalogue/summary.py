@@ -95,8 +95,7 @@ def strangeness(record: Mapping[str, Any]) -> tuple[float, str]:
         return 0.0, ""
     if not record["peak"]:
         return 3.0, "silence"
-    limited = record.get("limited_samples") or 0
-    if limited:
+    if limited := record.get("limited_samples") or 0:
         return 2.0 + limited / max(1, record["frames"]), f"{limited} samples clipped"
     leak_db = record.get("leak_above_250_hz_db")
     if leak_db is not None and leak_db > STRANGE_LEAK_DB:

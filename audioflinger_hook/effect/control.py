@@ -106,8 +106,7 @@ class EffectControl:
 
     def command(self, code: int, data: object = None) -> tuple[int, object]:
         """Execute a client's command, if it is valid. Return (status, reply)."""
-        status = self._check.status(code, data)
-        if status != OK:
+        if (status := self._check.status(code, data)) != OK:
             return status, None
         if self.state is EffectState.DESTROYED or code in FRAMEWORK_ONLY:
             return EINVAL, None
@@ -274,8 +273,7 @@ def error_text(error: BaseException) -> str:
 
 def place_text(error: BaseException) -> str:
     """Return the place where an exception was raised as ` (FILE, line N)`; "" if unknown."""
-    places = [*walk_tb(error.__traceback__)]
-    if not places:
+    if not (places := [*walk_tb(error.__traceback__)]):
         return ""
     frame, line = places[-1]
     return f" ({PurePath(frame.f_code.co_filename).name}, line {line})"

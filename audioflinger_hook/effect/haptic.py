@@ -256,8 +256,7 @@ class HapticEffect:
             config.channels,
         )
         if vibration is None or not same:
-            transform = transform_for(config, self._values)
-            if transform is None:
+            if (transform := transform_for(config, self._values)) is None:
                 return EINVAL
             if vibration is None:
                 vibration = Vibration(transform, amplitude(self._values), config.frames)
@@ -277,10 +276,8 @@ class HapticEffect:
             return EINVAL
         transform = None
         restarting = any(values[name] != self._values[name] for name in RESTARTING)
-        if restarting and self._config is not None:
-            transform = transform_for(self._config, values)
-            if transform is None:
-                return EINVAL
+        if restarting and self._config and not (transform := transform_for(self._config, values)):
+            return EINVAL
         self._values = values
         if self._vibration is not None:
             self._vibration.gain = amplitude(values)

@@ -37,9 +37,7 @@ def compose(curve: VibrationCurve, duration_s: float, band_hz: Band | None) -> C
         "version": {"major": 1, "minor": 0, "patch": 0},
         "metadata": {
             "editor": "Haptic Cushion",
-            "author": "",
-            "source": "",
-            "project": "",
+            **dict.fromkeys(("author", "source", "project"), ""),
             "tags": [],
             "description": (
                 f"frequency 0 to 1 is {VIBRATION_LOW_HZ:g} to {VIBRATION_HIGH_HZ:g} Hz of "

@@ -47,8 +47,7 @@ class LibsndfileTarget:
         return len(content)
 
     def _store(self, content: bytes) -> None:
-        over = content[: self._size - self._position]
-        if over:
+        if over := content[: self._size - self._position]:
             self.file.overwrite(over, self._position)
         if rest := content[len(over) :]:
             self.file.write(rest)

@@ -181,8 +181,7 @@ class Lane:
             self._resampler.produce(sound)
         if self._map.spreads:
             sound = self._map.apply(sound, self._mapped, self._spare)
-        volume = self.track.volume
-        if volume is not self._volume:
+        if (volume := self.track.volume) is not self._volume:
             self._volume, self._gains = volume, gains_of(volume, self._channels)
         goal = None if self.track.mixed_state is TrackState.PAUSING else self._gains
         self._ramp.mix(sound, target, goal, scratch, first=first)

@@ -139,8 +139,7 @@ find_capture = partial(find_playback, kind="capture")  # like `find_playback`, f
 
 def parse_card_address(name: str) -> re.Match[str]:
     """Return a match with the groups `card` and `device`. UsageError: the address is malformed."""
-    match = _ADDRESS.fullmatch(name)
-    if match is None:
+    if (match := _ADDRESS.fullmatch(name)) is None:
         raise UsageError(
             f"device 'hw:{name}' is not hw:CARD or hw:CARD,DEVICE, with the card's number or id "
             "from /proc/asound/cards"

@@ -62,8 +62,7 @@ def _level(words: list[int], lowest: int, highest: int, depth: int) -> Level | N
         return None
     if kind == _CONTAINER:
         while len(body) >= 2:
-            level = _level(body, lowest, highest, depth + 1)
-            if level is not None:
+            if (level := _level(body, lowest, highest, depth + 1)) is not None:
                 return level
             body = body[2 + (body[1] + 3) // 4 :]
         return None

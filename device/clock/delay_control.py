@@ -143,8 +143,7 @@ class TargetDelay:
 
     def set_goal(self, lateness_s: float, offset_s: float) -> bool:
         """Set the final target; return whether the offset changed. A new offset acts at once."""
-        new_offset = offset_s != self.offset_s
-        if new_offset:
+        if new_offset := offset_s != self.offset_s:
             self.current_s += offset_s - self.offset_s
             self.offset_s = offset_s
         self.wanted_s = self._clamp(self._least_s + lateness_s + offset_s)

@@ -127,8 +127,7 @@ class Joint:
         """Fade a block, (frames, channels), in place, and remember its last two frames."""
         if not len(out):
             return
-        under_way = min(len(out), len(self._tail) - self._done)
-        if under_way:
+        if under_way := min(len(out), len(self._tail) - self._done):
             now = slice(self._done, self._done + under_way)
             mixed = np.multiply(out[:under_way], self._rising[now], out=self._scratch[:under_way])
             out[:under_way] = np.add(mixed, self._tail[now], out=mixed)

@@ -156,8 +156,7 @@ class FrameClock:
         while points[0][0] < counted_s - WINDOW_S:
             points.popleft()
         first_s, last_s = points[0][0], points[-1][0]
-        slope = _middle_slope(points)
-        if slope is not None:
+        if (slope := _middle_slope(points)) is not None:
             at = [later_s - slope * point_s for point_s, later_s in points]
             noise_s = sum(at) / len(at) - min(at) + _LEAST_NOISE_S
             drift_s = self._drift * (last_s - first_s)

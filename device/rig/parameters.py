@@ -136,8 +136,7 @@ class ActuatorParameters(Stage):
 
     def coil_ohm(self, s: complex) -> complex:
         """Return the coil's impedance without motion, R + s L + (s L2 parallel to R2)."""
-        eddy = s * self.inductance_eddy_h
-        if eddy:
+        if eddy := s * self.inductance_eddy_h:
             eddy *= self.resistance_eddy_ohm / (self.resistance_eddy_ohm + eddy)
         return self.resistance_ohm + s * self.inductance_h + eddy
 

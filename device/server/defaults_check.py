@@ -64,8 +64,7 @@ class DefaultsCheck:
         known: the connection's defaults. This blocks for a few seconds at most.
         """
         for _ in range(5):
-            first = fetch_defaults()
-            if first == known:
+            if (first := fetch_defaults()) == known:
                 self._renew_again_s = RENEW_AGAIN_S
                 return
             time.sleep(AGAIN_S)

@@ -205,8 +205,7 @@ class Graph:
 
     def _put(self, table: dict[int, Any], new: Node | Port | Link) -> None:
         """Store an object; it replaces any object with the same id, even of another kind."""
-        before = table.get(new.id)
-        if before is None:
+        if (before := table.get(new.id)) is None:
             self._forget(new.id)
         self._changes += before is None or _wiring(before) != _wiring(new)
         self._drop(new.id)

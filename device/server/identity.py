@@ -38,8 +38,7 @@ def default_monitor(snapshot: ServerSnapshot, haptic_sink: str | None = None) ->
 
     NotFoundError: there is no default sink, it has no monitor, or it plays the vibration.
     """
-    name = snapshot.default_sink
-    if not name:
+    if not (name := snapshot.default_sink):
         raise NotFoundError(
             "the sound server has no default sink; choose one in the sound settings or with "
             "`pactl set-default-sink NAME`, or name the sink to tap"

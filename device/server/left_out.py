@@ -38,8 +38,7 @@ class LeftOut:
 
         microphones: all streams that record from microphones.
         """
-        feel = first_match(self.rules, stream)
-        if feel is False:
+        if (feel := first_match(self.rules, stream)) is False:
             return IN_CONFIG
         if feel or self.calls_and_alerts:
             return ""

@@ -156,10 +156,7 @@ def take_snapshot(pulse: Any, events: int, known: ServerSnapshot | None = None) 
     """
     sink_inputs, source_outputs = pulse.sink_input_list(), pulse.source_output_list()
     info = pulse.server_info()
-    # such as "pulseaudio", or "PulseAudio (on PipeWire 0.3.65)"
-    _, on, pipewire = (info.server_name or "").partition("(on PipeWire")
-    kind = "PipeWire" if on else "PulseAudio"
-    version = pipewire.strip(" )") if on else info.server_version or ""
+    kind, version = _kind(info.server_name or "", info.server_version or "")
     defaults = default_name(info.default_sink_name), default_name(info.default_source_name)
     if known is not None and (known.default_sink, known.default_source) != defaults:
         known = None
@@ -170,6 +167,12 @@ def take_snapshot(pulse: Any, events: int, known: ServerSnapshot | None = None) 
     playing = tuple(_stream(item, item.sink, names) for item in sink_inputs)
     recording = tuple(_stream(item, item.source, source_names) for item in source_outputs)
     return ServerSnapshot(kind, version, *defaults, sinks, sources, playing, recording, events)
+
+
+def _kind(name: str, version: str) -> tuple[str, str]:
+    """Return kind and version. name: such as "pulseaudio" or "PulseAudio (on PipeWire 0.3.65)"."""
+    _, on, pipewire = name.partition("(on PipeWire")
+    return ("PipeWire", pipewire.strip(" )")) if on else ("PulseAudio", version)
 
 
 def default_name(name: str | None) -> str:

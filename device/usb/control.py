@@ -31,8 +31,7 @@ def libusb() -> Any:
         from usb.backend import libusb1
     except ImportError:
         raise NoLibusbError(not_installed("PyUSB", "live")) from None
-    backend = libusb1.get_backend()
-    if backend is None:
+    if (backend := libusb1.get_backend()) is None:
         raise NoLibusbError(
             "no libusb: PyUSB is here, but not the library libusb-1.0; install it: "
             "sudo apt install libusb-1.0-0, or sudo dnf install libusb1"

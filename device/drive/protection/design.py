@@ -194,8 +194,7 @@ def _predict(rig: Rig, samplerate: int, limits: Limits) -> tuple[Records, float 
     models = bounding_models(rig.actuator, limits, source)
     sections = amplifier_sections(rig.amplifier, models, samplerate)
     drives = [DriveModel(model, samplerate, source, sections, volts) for model in models]
-    current_a = limits.current_a
-    if current_a is not None:
+    if (current_a := limits.current_a) is not None:
         most_a = max(drive.reach("current_a") for drive in drives) * limits.level * volts
         current_a *= 1.0 - RESERVE
         current_a = current_a if most_a > current_a else None

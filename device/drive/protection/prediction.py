@@ -80,8 +80,7 @@ class DriveModel:
 
         Infinity if the response decays too slowly; the core then predicts every block's motion.
         """
-        frames = self._horizon()
-        if not frames:
+        if not (frames := self._horizon()):
             return math.inf
         impulse = np.zeros(frames)
         impulse[0] = 1.0
@@ -94,8 +93,7 @@ class DriveModel:
         """Return the largest |x|, m per volt, after an amplifier state of norm 1 without input."""
         if not len(self._sections):
             return 0.0
-        frames = self._horizon()
-        if not frames:
+        if not (frames := self._horizon()):
             return math.inf
         squares = np.zeros(frames)
         for at, section in enumerate(self._sections):

@@ -73,8 +73,7 @@ class Topology:
         """Return the ids of the sources of a clock; a clock selector may have several sources."""
         seen, queue, found = {clock_id}, [clock_id], []
         for here in queue:
-            clock = self.entities.get(here)
-            if clock and clock.kind == audio_class.CLOCK_SOURCE:
+            if (clock := self.entities.get(here)) and clock.kind == audio_class.CLOCK_SOURCE:
                 found.append(here)
             if clock and clock.kind in audio_class.CLOCKS:
                 unseen = set(clock.source_ids) - seen
@@ -96,8 +95,7 @@ def topologies(configuration: Configuration) -> dict[int, Topology]:
             functions[interface.number] = Topology(interface)
     owners = dict(functions)
     for spanned in configuration.associations[:_ASSOCIATIONS_MAX]:
-        first = next((functions[n] for n in spanned if n in functions), None)
-        if first:
+        if first := next((functions[n] for n in spanned if n in functions), None):
             for number in spanned:
                 owners.setdefault(number, first)
     versions = {i.number: i.uac for i in configuration.interfaces if i.is_streaming}
