@@ -224,7 +224,8 @@ class UsbControl:
         """Restore the settings that differ from a stored state, with volumes of at most 0 dB."""
         now = self.state()
         for channel, units in set(state.volumes) - set(now.volumes):
-            self._set_units(channel, min(units, requests.volume_units(MAX_VOLUME_DB)))
+            loudest = requests.volume_units(MAX_VOLUME_DB)
+            self._set_units(channel, min(units, loudest))
         for channel, muted in set(state.mutes) - set(now.mutes):
             self.set_muted(channel, muted)
         if state.samplerate and state.samplerate != now.samplerate:
