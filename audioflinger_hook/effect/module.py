@@ -22,9 +22,8 @@ from device.units import Float32Array
 LATE_IN_A_ROW = 3  # an engine is bypassed after this many consecutive overruns
 
 BLOCKED_S, BLOCKED_LOOKS = 0.4, 4
-"""An effect is bypassed if one call lasts BLOCKED_S seconds and BLOCKED_LOOKS checks.
-
-With the time limit alone, an effect would be bypassed after the process was suspended."""
+"""An effect is bypassed if one call lasts BLOCKED_S seconds and BLOCKED_LOOKS checks. With the time
+limit alone, an effect would be bypassed after the process was suspended."""
 
 ALWAYS_LOOKS = 30  # an effect is bypassed if this many checks in a row find it in `process`
 APART_S = 0.05  # shortest interval between two checks that count separately

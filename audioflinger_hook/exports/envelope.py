@@ -90,9 +90,8 @@ def fitted(times: FloatArray, values: FloatArray, knots: FloatArray) -> FloatArr
 
 
 SMOOTHED_S = 0.03
-"""Length of the Hann window that smooths power. The window removes fast fluctuations, which
-a few dozen points a second cannot represent. The window never extends across an onset.
-"""
+"""Length of the Hann window that smooths power. The window removes fast fluctuations, which a few
+dozen points a second cannot represent. The window never extends across an onset."""
 
 TRANSIENT_S = 0.02
 """Duration of a transient, which decays linearly to 0. The transient takes at most half of a rise

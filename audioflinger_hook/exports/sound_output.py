@@ -23,8 +23,7 @@ from device.units import Float32Array, FloatArray, amplitude_to_db, check_channe
 
 BLOCK_FRAMES = 4_096
 """Frames for each call of the encoder. The constant size makes a file's bytes independent of the
-caller's blocks, and limits the stack of the Vorbis encoder.
-"""
+caller's blocks, and limits the stack of the Vorbis encoder."""
 BLOCKS_AHEAD = 2  # blocks that may wait for a `BackgroundOutput`
 LARGE_FRAMES = 65_536  # FLAC's bytes do not depend on the size, and large blocks cost less
 

@@ -31,8 +31,7 @@ from device.units import FloatArray
 
 LONGEST_TRACK_S = 10.0
 """A longer track is split, so that memory does not depend on its length. At a split, the sum of
-both parts is inexact until the filters settle.
-"""
+both parts is inexact until the filters settle."""
 
 # The low-pass rings after a track. The ringing counts as part of the track until it falls below
 # `FAINT` of the track's largest amplitude, but for at most `RING_S`.

@@ -20,9 +20,8 @@ from device.layouts import downmix
 
 EPSILON = 2.0**-52
 ANGLE_ERROR = 8.0
-"""Bound of the difference of angles in `exact` and `single`, in epsilons of the largest angle.
-
-Each method rounds an angle three times by half an epsilon, so the difference is at most 3."""
+"""Bound of the difference of angles in `exact` and `single`, in epsilons of the largest angle. Each
+method rounds an angle three times by half an epsilon, so the difference is at most 3."""
 
 TERM_ERROR = 16.0
 """Bound of the error of adding one partial, in epsilons of its weight. The error is at most 13."""
@@ -183,8 +182,7 @@ class ReferenceStream:
         weights: FloatArray | None = None,
     ) -> None:
         self.latency_frames = self.tonal_latency_frames = transforms[0].latency_frames
-        self.delivered_frames = 0
-        self.replaced_samples = 0
+        self.delivered_frames = self.replaced_samples = 0
         self._transforms = transforms
         self._channels = channels
         halves = [downmix(channels)] if len(transforms) == 1 else []

@@ -106,9 +106,8 @@ def find_card(name: str, root: Path = PROC) -> Card:
     for card in cards:
         if name in (card.id, str(card.number)):
             return card
-    names = [card.id for card in cards]
-    if name.isdecimal():  # a number has no similar ids
-        names = [f"{card.number} ({card.id})" for card in cards]
+    # a number has no similar ids
+    names = [f"{card.number} ({card.id})" if name.isdecimal() else card.id for card in cards]
     raise NotFoundError(
         no_such("sound card", name, names, "connect one, or name a sink of the sound server")
     )

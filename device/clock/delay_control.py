@@ -67,8 +67,7 @@ class RateLoop:
 
     def restart(self) -> None:
         """Restart after a jump of the delay, and keep the learned drift."""
-        self.z1 = self.z2 = 0.0
-        self._age_s = self._on_target_s = 0.0
+        self.z1 = self.z2 = self._age_s = self._on_target_s = 0.0
         self.locked = False
         self.ratio = 1.0 + self.z3
 

@@ -21,9 +21,8 @@ HOPS_A_WINDOW = 2.55  # hops per window, for a hop of about 18 ms
 TICK_S = 0.002  # interval of the search for onsets and of the computation of vibration
 
 ATTACK_HOPS = 0.35
-"""Duration of an amplitude glide, in hops, if the sum of all amplitudes rises.
-
-Other glides take 1 hop."""
+"""Duration of an amplitude glide, in hops, if the sum of all amplitudes rises. Other glides take 1
+hop."""
 
 # Duration of the low-pass's impulse response, down to 1e-8, in cycles of `vibration_top_hz`.
 RING_OUT_CYCLES = 92.0
@@ -33,16 +32,14 @@ LOW_PASS, HIGH_PASS = ELLIPTIC_6, BUTTERWORTH_1
 
 HIGH_PASS_HZ = (42.0, 18.0)
 """Edges of two high-passes, which reduce excursion below the lowest vibration frequency.
-
 `gain_table` compensates the gain down to `GAIN_FLOOR`. The second high-pass adds a delay of 0.7 ms
 at 60 Hz."""
 
 GAIN_FLOOR = 0.45  # `gain_table` compensates filter gains down to this value
 
 FOLLOWED_CEILING = 0.93
-"""Largest sum of amplitudes with loudness control.
-
-This value leaves 7 % of full scale for the overshoot of the low-pass."""
+"""Largest sum of amplitudes with loudness control. This value leaves 7 % of full scale for the
+overshoot of the low-pass."""
 
 BEGIN_S = 0.005  # fade-in at the start of a stream
 EDGE_MARGIN = 1.01  # ratio of the pass band's end to the top vibration frequency
