@@ -1,6 +1,7 @@
 """One item of a catalogue, and the columns that describe it in a manifest."""
 
 import re
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from functools import lru_cache
@@ -179,15 +180,13 @@ def values_of(row: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
 def cell_value(name: str, cell: str) -> Any:
     """Return the value of a CSV cell: text, a number, or a list of channel numbers."""
     ours = ALIASES.get(name, name)
-    try:
+    with suppress(ValueError):
         if ours == "track":
             return int(cell)
         if ours in ("start_s", "duration_s"):
             return float(cell)
         if ours == "channels" and cell not in ("mono", "each"):
             return [int(one) for one in cell.split()]
-    except ValueError:
-        pass
     return cell
 
 

@@ -196,20 +196,19 @@ class EffectControl:
         if bypass:
             self.refusal = self.complaint
 
-    def _initialise(self) -> None:
+    def _initialise(self) -> bool:
         status, _ = self.send(Command.INIT)
         self._initialised = status == OK
         if not self._initialised:
             self._refused("INIT", status)
+        return self._initialised
 
     def _configure(self) -> int:
         self._accepted = False
         if self.config is None or self.fault:
             return EINVAL
-        if not self._initialised:
-            self._initialise()
-            if not self._initialised:
-                return EINVAL
+        if not (self._initialised or self._initialise()):
+            return EINVAL
         status, _ = self.send(Command.SET_CONFIG, self.config)
         if status == OK:
             self._accepted = True

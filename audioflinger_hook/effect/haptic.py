@@ -89,11 +89,8 @@ class Vibration:
 
     def process(self, audio: Frames, out: Float32Array) -> None:
         """Write the vibration of one block to `out` of shape (frames, haptic channels)."""
-        owed = self.transform.process(audio)
-        if self._next is None:
-            self._write(owed, out, self.gain)
-        else:
-            self._write(owed, out, 0.0)
+        self._write(self.transform.process(audio), out, 0.0 if self._next else self.gain)
+        if self._next:
             self.restart(self._next)
 
     def drain(self, haptic_channels: int) -> Float32Array:

@@ -170,11 +170,8 @@ class Loan:
 
 def same_layout(one: MixBuffer, other: MixBuffer) -> bool:
     """Return whether two buffers have equal shapes and types."""
-    layouts = [
-        [(part.shape, part.dtype) for part in (buffer.samples, buffer.audio, buffer.haptic)]
-        for buffer in (one, other)
-    ]
-    return layouts[0] == layouts[1]
+    pairs = (one.samples, other.samples), (one.audio, other.audio), (one.haptic, other.haptic)
+    return all((a.shape, a.dtype) == (b.shape, b.dtype) for a, b in pairs)
 
 
 def _all_finite(samples: Float32Array) -> bool:

@@ -163,8 +163,7 @@ class Lane:
         self._take = min(self._ready(), self._needed)
         if self.track.mixed_state is TrackState.STOPPING:
             return Readiness.READY
-        if self._filling and self._ready() >= self.track.start_threshold:
-            self._filling = False
+        self._filling = self._filling and self._ready() < self.track.start_threshold
         if not self._filling and self._take == self._needed:
             self._missed_frames = 0
             return Readiness.READY

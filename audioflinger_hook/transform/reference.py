@@ -158,12 +158,8 @@ class ReferenceTransform:
             weight[unit] = self._mapping.amplitudes(found.amplitude[unit], found.r[unit])
         if self._single:
             return self._superposition.single(weight, hz, edges)
-        return np.stack(
-            [
-                self._superposition.exact(weight[first:end], hz[first:end])
-                for first, end in pairwise(edges)
-            ]
-        )
+        parts = ((weight[first:end], hz[first:end]) for first, end in pairwise(edges))
+        return np.stack([self._superposition.exact(*part) for part in parts])
 
 
 class ReferenceStream:

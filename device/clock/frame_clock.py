@@ -174,9 +174,8 @@ class FrameClock:
         time_s = self._time_s + self._offset_s + (frames - self._frames) * period_s
         if self.reading is not None and not another_line:
             self._stepped_s += time_s - self.reading.time_of(frames)
-        astray = self._astray_s != 0.0
-        stepped_s = self._stepped_s
-        self.reading = ClockReading(time_s, frames, 1.0 / period_s, settled, astray, stepped_s)
+        known = settled, self._astray_s != 0.0, self._stepped_s
+        self.reading = ClockReading(time_s, frames, 1.0 / period_s, *known)
         return self.reading
 
 
