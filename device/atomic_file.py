@@ -210,15 +210,19 @@ def _open_failure(path: Path, error: OSError | ValueError) -> CushionError:
     if not isinstance(error, OSError):  # a name with a null byte
         return UsageError(f"cannot write {str(path)!r}: {error}; choose another name")
     if error.errno == errno.ENOENT:
-        why = f"folder {path.resolve().parent} does not exist; create it or name another"
-    elif error.errno == errno.ENOTDIR:
-        why = f"{path.parent} is not a folder; name a folder"
-    elif error.errno in (errno.EACCES, errno.EPERM):
-        why = f"no permission to write in folder {path.parent}; name another"
-    else:
-        why = write_reason(error)
-    kind = WriteError if error.errno in MACHINE_FAULTS else UsageError
-    return kind(f"cannot write {path}: {why}")
+        folder = path.resolve().parent
+        return UsageError(
+            f"cannot write {path}: folder {folder} does not exist; create it or name another"
+        )
+    if error.errno == errno.ENOTDIR:
+        return UsageError(f"cannot write {path}: {path.parent} is not a folder; name a folder")
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return UsageError(
+            f"cannot write {path}: no permission to write in folder {path.parent}; name another"
+        )
+    if error.errno in MACHINE_FAULTS:
+        return WriteError(f"cannot write {path}: {write_reason(error)}")
+    return UsageError(f"cannot write {path}: {write_reason(error)}")
 
 
 def write_reason(error: OSError) -> str:
