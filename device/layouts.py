@@ -64,8 +64,7 @@ def sides(channels: int) -> str:
     if "LFE2" in positions:
         known |= {"LFE": "L", "LFE2": "R"}
     lasts = (position.rstrip("0123456789")[-1] for position in positions)
-    of_last = (last if last in "LR" else "C" for last in lasts)
-    return "".join(map(known.get, positions, of_last))
+    return "".join(map(known.get, positions, (last if last in "LR" else "C" for last in lasts)))
 
 
 @cache

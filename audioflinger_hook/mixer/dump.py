@@ -70,7 +70,6 @@ def _tracks(mixer: Mixer) -> list[str]:
 
 def _row(track: Track, mix_channels: int) -> dict[str, str]:
     gains = gains_of(track.volume, mix_channels)
-    right = gains[1] if mix_channels > 1 else gains[0]
     return {
         "Id": str(track.id),
         "Active": _yes_no(track.is_active),
@@ -81,7 +80,7 @@ def _row(track: Track, mix_channels: int) -> dict[str, str]:
         "Chn": str(track.channels),
         "SRate": str(track.samplerate),
         "L dB": f"{amplitude_to_db(gains[0]):.1f}",
-        "R dB": f"{amplitude_to_db(right):.1f}",
+        "R dB": f"{amplitude_to_db(gains[:2][-1]):.1f}",
         "FrmCnt": str(track.ring.capacity_frames),
         "FrmRdy": str(track.frames_ready),
         "StartThr": str(track.start_threshold),

@@ -79,5 +79,4 @@ def power_to_limit_w(warm: Temperatures, limit_k: float) -> float:
     """
     thermal = warm.parameters
     onward_w = (warm.coil_k - warm.magnet_k) / thermal.coil_k_per_w
-    left_j = thermal.coil_j_per_k * (limit_k - warm.coil_k)
-    return max(0.0, onward_w + left_j / APPROACH_S)
+    return max(0.0, onward_w + thermal.coil_j_per_k * (limit_k - warm.coil_k) / APPROACH_S)
