@@ -37,8 +37,7 @@ class DeviceAddress:
         """Return the sink of this device. NotFoundError: no sink matches, or several match."""
         if self.kind == "sink":
             return find_sink(snapshot, self.name)
-        identity = self.usb
-        if identity is None:
+        if (identity := self.usb) is None:
             raise NotFoundError(f"device {str(self)!r} is not on the sound server")
         found = [sink for sink in snapshot.sinks if mapping.is_sink_of(identity, sink)]
         if len(found) == 1:

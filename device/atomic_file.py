@@ -125,8 +125,7 @@ class AtomicFile(AbstractContextManager["AtomicFile"]):
             self.abort()
 
     def _open_file(self) -> None:
-        nameless = getattr(os, "O_TMPFILE", 0)
-        if nameless and Path("/proc/self/fd").is_dir():
+        if (nameless := getattr(os, "O_TMPFILE", 0)) and Path("/proc/self/fd").is_dir():
             try:
                 self._file_fd = os.open(".", nameless | _FLAGS, _MODE, dir_fd=self._folder_fd)
                 return

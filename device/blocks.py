@@ -111,8 +111,7 @@ class Compiled:
         """
         named = dict(zip(_DESIGN, design, strict=True))
         views = _views(np.float64, volts=volts, moved=moved, **named, state=state, report=report)
-        counts = (c_size_t * len(numbers))(*map(_count, numbers))
-        _check(self._move_rig(views, counts))
+        _check(self._move_rig(views, (c_size_t * len(numbers))(*map(_count, numbers))))
 
 
 def _check(misfit: bytes | None) -> None:

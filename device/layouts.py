@@ -63,11 +63,8 @@ def sides(channels: int) -> str:
     known = {"FLC": "L", "FRC": "R"}
     if "LFE2" in positions:
         known |= {"LFE": "L", "LFE2": "R"}
-    letters = []
-    for position in positions:
-        last = position.rstrip("0123456789")[-1]
-        letters.append(known.get(position, last if last in "LR" else "C"))
-    return "".join(letters)
+    lasts = (position.rstrip("0123456789")[-1] for position in positions)
+    return "".join(map(known.get, positions, (last if last in "LR" else "C" for last in lasts)))
 
 
 @cache
@@ -84,11 +81,7 @@ def downmix(channels: int) -> NDArray[np.float64]:
         return np.full((channels, 2), 1.0 / channels)
     halves = np.zeros((channels, 2))
     for row, position, side in zip(halves, layout(channels), sides(channels), strict=True):
-        if position in ("FL", "FR"):
-            weight = 1.0
-        elif side == "C" and position not in ("FC", "LFE"):
-            weight = 0.5
-        else:
-            weight = MINUS_3_DB
+        is_half = side == "C" and position not in ("FC", "LFE")
+        weight = 1.0 if position in ("FL", "FR") else 0.5 if is_half else MINUS_3_DB
         row[:] = weight * (side != "R"), weight * (side != "L")
     return halves

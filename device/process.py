@@ -29,8 +29,7 @@ def ends_with_us() -> None:
 
 def memory_file(name: str) -> int:
     """Return the descriptor of a new file in memory, which child processes do not inherit."""
-    number = _LIBC.memfd_create(name.encode(), _MFD_CLOEXEC)
-    if number < 0:
+    if (number := _LIBC.memfd_create(name.encode(), _MFD_CLOEXEC)) < 0:
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
     return int(number)
 

@@ -63,8 +63,7 @@ class WavOutput:
         header = self._header()
         file.overwrite(header)
         expected = len(header) + self.frames * self.channels * _SAMPLE.itemsize
-        size = file.size()
-        if size != expected:
+        if (size := file.size()) != expected:
             file.abort()
             raise WriteError(
                 f"cannot write {file.path}: only {size} of {expected} bytes are on the disk; "
@@ -105,8 +104,7 @@ def wav_header(samplerate: int, channels: int, frames: int, comment: str | None 
     samples_bytes = frames * frame_bytes
     ds64_bytes, fact_bytes, data_head_bytes = 36, 12, 8
     head_bytes = 12 + ds64_bytes + len(fmt) + 8 + fact_bytes + len(info) + data_head_bytes
-    riff_bytes = head_bytes + samples_bytes - 8
-    if riff_bytes < _IN_DS64:
+    if (riff_bytes := head_bytes + samples_bytes - 8) < _IN_DS64:
         start = struct.pack("<4sI4s", b"RIFF", riff_bytes, b"WAVE") + _chunk(b"JUNK", bytes(28))
         fact, data_bytes = frames, samples_bytes
     else:

@@ -12,7 +12,7 @@ import signal
 import sys
 from collections.abc import Sequence
 from importlib.machinery import ModuleSpec, PathFinder
-from types import FrameType, ModuleType
+from types import ModuleType
 
 from device.errors import UsageError
 
@@ -80,7 +80,7 @@ def repeat_lost_interruptions() -> None:
     if sys.unraisablehook is not _repeat:
         _hook_before = sys.unraisablehook
         sys.unraisablehook = _repeat
-    signal.signal(signal.SIGALRM, _interrupt)
+    signal.signal(signal.SIGALRM, signal.default_int_handler)
 
 
 def _repeat(lost: "sys.UnraisableHookArgs") -> None:
@@ -88,7 +88,3 @@ def _repeat(lost: "sys.UnraisableHookArgs") -> None:
         signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
     else:
         _hook_before(lost)
-
-
-def _interrupt(_signal: int, _frame: FrameType | None) -> None:
-    raise KeyboardInterrupt

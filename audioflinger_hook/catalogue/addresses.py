@@ -72,8 +72,7 @@ def parse_address(text: str, what: str) -> str:
         raise UsageError(f"{what} = {text!r} is not a path or URL; name one")
     if credentials_in(text):
         raise UsageError(f"{what} = {scrubbed(text)} {NO_CREDENTIALS}")
-    if text.startswith("file://"):
-        text = text.removeprefix("file://")
+    text = text.removeprefix("file://")
     return text.rstrip("/") if is_url(text) else os.path.normpath(Path(text).absolute())
 
 

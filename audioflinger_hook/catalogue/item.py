@@ -1,6 +1,7 @@
 """One item of a catalogue, and the columns that describe it in a manifest."""
 
 import re
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from functools import lru_cache
@@ -156,8 +157,7 @@ def values_of(row: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
     values: dict[str, Any] = {}
     mistakes = []
     for name, value in _from_lhotse(row).items():
-        ours = ALIASES.get(name, name)
-        if ours in COLUMNS:
+        if (ours := ALIASES.get(name, name)) in COLUMNS:
             if ours not in values:
                 values[ours] = value
             elif values[ours] != value:
@@ -169,8 +169,7 @@ def values_of(row: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
         return values, mistakes
     # Convert the values to the types of the fields where possible.
     found = {name: value for name, value in values.items() if value is not None}
-    channels = found.get("channels")
-    if type(channels) is int:
+    if type(channels := found.get("channels")) is int:
         found["channels"] = (channels,)
     elif isinstance(channels, list):
         found["channels"] = tuple(channels)
@@ -181,15 +180,13 @@ def values_of(row: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
 def cell_value(name: str, cell: str) -> Any:
     """Return the value of a CSV cell: text, a number, or a list of channel numbers."""
     ours = ALIASES.get(name, name)
-    try:
+    with suppress(ValueError):
         if ours == "track":
             return int(cell)
         if ours in ("start_s", "duration_s"):
             return float(cell)
         if ours == "channels" and cell not in ("mono", "each"):
             return [int(one) for one in cell.split()]
-    except ValueError:
-        pass
     return cell
 
 

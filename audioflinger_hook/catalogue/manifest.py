@@ -90,8 +90,7 @@ class Manifest:
                 stack.enter_context(tempfile.SpooledTemporaryFile(SPOOLED_BYTES))
                 for _ in range(PARTITIONS)
             ]
-            for item in self.items(mistakes):
-                count += 1
+            for count, item in enumerate(self.items(mistakes), 1):
                 if count <= KEPT_ITEMS:
                     kept.append(item)
                 name = _hash(item.id)

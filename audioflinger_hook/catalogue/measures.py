@@ -5,13 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from device.drive.exposure import PARTS
+from device.drive.exposure import DAY_S, PARTS
 from device.rig import rig_by_name
 from device.rig.co_energy import energies
 from device.rig.equations import FRAME_SPEED, SPEED, VOLTS, Equations
 from device.units import Float32Array, FloatArray
 
-DAY_S = 8 * 3600.0
 HIGHEST_HZ = 1_000.0  # higher frequencies have negligible weight in ISO 2631-1
 RESPONSE_HZ = np.arange(0.0, HIGHEST_HZ + 0.25, 0.25)  # frequencies of a rig's response
 POINT_S = 0.02
@@ -90,8 +89,7 @@ def _weighted_gain(rig: str, rate: int, frames: int) -> FloatArray:
     """Return |weighted acceleration / full scale|² at an FFT's frequencies below HIGHEST_HZ."""
     frequencies = np.arange(frames // 2 + 1) * (rate / frames)
     frequencies = frequencies[frequencies < HIGHEST_HZ]
-    gain: FloatArray = np.interp(frequencies, RESPONSE_HZ, _weighted_response(rig))
-    return gain
+    return np.asarray(np.interp(frequencies, RESPONSE_HZ, _weighted_response(rig)))
 
 
 @lru_cache(maxsize=4)
@@ -106,5 +104,4 @@ def _weighted_response(name: str) -> FloatArray:
     moved = states @ linear.rate[FRAME_SPEED if rig.seat else SPEED]
     for numerator, denominator, _ in PARTS:
         moved = moved * np.polyval(numerator, s) / np.polyval(denominator, s)
-    response: FloatArray = np.abs(rig.dac.full_scale_v * rig.amplifier.gain * moved) ** 2
-    return response
+    return np.asarray(np.abs(rig.dac.full_scale_v * rig.amplifier.gain * moved) ** 2)

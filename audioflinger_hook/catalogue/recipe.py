@@ -63,8 +63,7 @@ class Recipe:
             document = [self.version, asdict(self.options), asdict(settings), files]
             text = json.dumps(document, sort_keys=True, default=str)
             known[chosen] = hashlib.sha256(text.encode()).hexdigest()
-        mine = _to_json([known[chosen], part, identity])
-        return hashlib.sha256(mine.encode()).hexdigest()[:32]
+        return hashlib.sha256(_to_json([known[chosen], part, identity]).encode()).hexdigest()[:32]
 
     def described(self) -> dict[str, Any]:
         """Return version, export options and settings, ready for JSON."""

@@ -1,7 +1,7 @@
 """A run sends batches of items to workers and collects the outcomes."""
 
 import pickle
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from itertools import islice
@@ -40,7 +40,7 @@ class Run:
         self._under_way: dict[Future[list[Outcome]], Batch] = {}
         self._suspects: deque[Batch] = deque()
         self._alone: Future[list[Outcome]] | None = None
-        self._deaths: dict[int, int] = {}
+        self._deaths: Counter[int] = Counter()
 
     def outcomes(self) -> Iterator[list[Outcome]]:
         """Yield the outcomes of each finished batch. LostError: the workers cannot be reached."""
@@ -92,17 +92,17 @@ class Run:
 
     def _suspect(self, batch: Batch, *, alone: bool) -> list[Outcome]:
         """Queue a batch to run alone, or its items. After DEATHS_MAX deaths, return a failure."""
+        item, *others = batch
         if not alone:
             self._suspects.append(batch)
-            return []
-        if len(batch) > 1:
-            self._suspects.extendleft([item] for item in reversed(batch))
-            return []
-        item = batch[0]
-        self._deaths[item.line] = self._deaths.get(item.line, 0) + 1
-        if self._deaths[item.line] < DEATHS_MAX:
+        elif others:
+            self._suspects.extendleft([one] for one in reversed(batch))
+        else:
+            self._deaths[item.line] += 1
+            if self._deaths[item.line] >= DEATHS_MAX:
+                death = self._place.death()
+                error = f"{item.audio}: its worker died {DEATHS_MAX} times, {death}"
+                is_tried_again = death in (NO_SERVER, ENDED)
+                return [failed_by_death(self._plain_recipe, item, error, is_tried_again)]
             self._suspects.appendleft(batch)
-            return []
-        death = self._place.death()
-        error = f"{item.audio}: its worker died {DEATHS_MAX} times, {death}"
-        return [failed_by_death(self._plain_recipe, item, error, death in (NO_SERVER, ENDED))]
+        return []

@@ -142,8 +142,7 @@ class _RemoteStorage:
 
     def read(self, name: str) -> bytes | None:
         with self._errors(name), suppress(FileNotFoundError):
-            content: bytes = self._files.cat_file(self._path(name))
-            return content
+            return bytes(self._files.cat_file(self._path(name)))
         return None
 
     def write(self, name: str, content: bytes) -> None:

@@ -3,7 +3,7 @@
 import heapq
 import json
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
@@ -60,9 +60,8 @@ class Summary:
 
     def document(self) -> dict[str, Any]:
         """Return the summary as a JSON document."""
-        counts = ("items", "rendered", "skipped", "failed")
         return {
-            **{name: getattr(self, name) for name in counts},
+            **{name: getattr(self, name) for name in ("items", "rendered", "skipped", "failed")},
             "sound_s": round(self.sound_s, 3),
             "worker_s": round(self.worker_s, 3),
             "slowest": [{"id": one[2], "seconds": one[0]} for one in _descending(self.slowest)],
@@ -96,8 +95,7 @@ def strangeness(record: Mapping[str, Any]) -> tuple[float, str]:
         return 0.0, ""
     if not record["peak"]:
         return 3.0, "silence"
-    limited = record.get("limited_samples") or 0
-    if limited:
+    if limited := record.get("limited_samples") or 0:
         return 2.0 + limited / max(1, record["frames"]), f"{limited} samples clipped"
     leak_db = record.get("leak_above_250_hz_db")
     if leak_db is not None and leak_db > STRANGE_LEAK_DB:
@@ -109,11 +107,12 @@ def _descending(heap: list[Ranked]) -> list[Ranked]:
     return sorted(heap, reverse=True)
 
 
-class Failures(AbstractContextManager["Failures"]):
+class Failures(ExitStack):
     """Collects the failed items as a manifest, in a temporary file. A context manager."""
 
     def __init__(self) -> None:
-        self._file: IO[bytes] = TemporaryFile()  # noqa: SIM115
+        super().__init__()
+        self._file: IO[bytes] = self.enter_context(TemporaryFile())  # noqa: SIM115
 
     def add(self, outcome: Outcome) -> None:
         """Add an item that failed."""
@@ -133,16 +132,14 @@ class Failures(AbstractContextManager["Failures"]):
 
         storage.put(name, copy)
 
-    def __exit__(self, *_error: object) -> None:
-        self._file.close()
 
-
-class Page(AbstractContextManager["Page"]):
+class Page(ExitStack):
     """Collects the pictures of a run in temporary files. A context manager."""
 
     def __init__(self) -> None:
-        self._ordinary: IO[bytes] = TemporaryFile()  # noqa: SIM115
-        self._strange: IO[bytes] = TemporaryFile()  # noqa: SIM115
+        super().__init__()
+        self._ordinary: IO[bytes] = self.enter_context(TemporaryFile())  # noqa: SIM115
+        self._strange: IO[bytes] = self.enter_context(TemporaryFile())  # noqa: SIM115
         self._pictures = self._left_out = 0
 
     def add(self, outcome: Outcome) -> None:
@@ -174,10 +171,6 @@ class Page(AbstractContextManager["Page"]):
             if self._left_out:
                 file.write(f"<p>{self._left_out} more items have no picture here.</p>\n".encode())
         return path
-
-    def __exit__(self, *_error: object) -> None:
-        self._ordinary.close()
-        self._strange.close()
 
 
 def _figure(outcome: Outcome, reason: str) -> str:

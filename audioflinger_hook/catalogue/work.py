@@ -228,8 +228,7 @@ def _key(recipe: Recipe, item: Item) -> str | None:
         if is_url(item.audio):
             return None
         return recipe.key(item, {"sha256": sha256_of(Path(item.audio))})
-    found = identity_of(item.audio)
-    if found is None:
+    if (found := identity_of(item.audio)) is None:
         FileTap(Path(item.audio)).close()  # raises an error that states the reason
         raise UsageError(f"{item.audio} cannot be read; check the path")
     return recipe.key(item, {"audio": item.audio, "size": found.size, "stamp": found.stamp})
@@ -240,8 +239,7 @@ def _right_record(recipe: Recipe, storage: Storage, name: str, key: str) -> dict
 
     DeathError: the item with this key has ended its workers, and is not to be tried again.
     """
-    text = storage.read(name + RECORD)
-    if text is None:
+    if (text := storage.read(name + RECORD)) is None:
         return {}
     try:
         record = json.loads(text)

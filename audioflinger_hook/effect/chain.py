@@ -72,8 +72,7 @@ class EffectChains(EffectsPort):
         if module not in chain:
             return
         module.release()
-        rest = [other for other in chain if other is not module]
-        if rest:
+        if rest := [other for other in chain if other is not module]:
             self._chains[module.session] = rest
         else:
             del self._chains[module.session]
@@ -105,8 +104,7 @@ class EffectChains(EffectsPort):
         """Replace `buffer` by the output of a session's chain, or add this output to `target`."""
         self._now_s = now_s
         output = buffer if target is None else target
-        chain = self._chains.get(session)
-        if chain:
+        if chain := self._chains.get(session):
             for module in chain[:-1]:
                 module.process(buffer, buffer)
             chain[-1].process(buffer, output)
@@ -157,8 +155,7 @@ def misplaced(flags: EffectFlag, session: object) -> str:
     """Return why a session's chain cannot contain an effect with these flags, or ""."""
     if type(session) is not int or session < DEVICE:
         return f"session {session!r} does not exist; allowed: {DEVICE} to 0, or a player's"
-    kind = flags & EffectFlag.TYPE_MASK
-    if kind not in (EffectFlag.INSERT, EffectFlag.POST_PROC):
+    if (kind := flags & EffectFlag.TYPE_MASK) not in (EffectFlag.INSERT, EffectFlag.POST_PROC):
         return "only inserts and post-processing run here; auxiliary and others do not"
     if session in (OUTPUT_STAGE, DEVICE) and kind != EffectFlag.POST_PROC:
         return f"session {session} takes only post-processing; add it to the output mix, 0"
@@ -190,9 +187,7 @@ def insert_index(new: EffectDescriptor, chain: Sequence[EffectDescriptor]) -> in
         lasts = [index for index, place in places if place == EffectFlag.INSERT_LAST]
         return lasts[0] if lasts else len(chain)
     firsts = [index for index, place in places if place == EffectFlag.INSERT_FIRST]
-    if firsts:
-        return firsts[-1] + 1
-    return places[0][0] if places else len(chain)
+    return firsts[-1] + 1 if firsts else places[0][0] if places else len(chain)
 
 
 PLACE_NAMES = {

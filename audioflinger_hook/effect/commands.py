@@ -23,6 +23,10 @@ WITH_A_WORD = (  # one unsigned integer of 32 bits
     *(Command.SET_DEVICE, Command.SET_AUDIO_MODE, Command.SET_INPUT_DEVICE),
     *(Command.SET_AUDIO_SOURCE, Command.GET_FEATURE_CONFIG),
 )
+NEEDED_FLAGS = {
+    Command.SET_VOLUME: EffectFlag.VOLUME_MASK,
+    Command.SET_DEVICE: EffectFlag.DEVICE_MASK,
+}
 
 WORD_MAX = 2**32 - 1
 
@@ -43,11 +47,8 @@ class CommandCheck:
             return OK if type(data) is self._takes[code] else EINVAL
         if code not in KNOWN or not self._fits(Command(code), data):
             return EINVAL
-        if code == Command.SET_VOLUME and not self._flags & EffectFlag.VOLUME_MASK:
-            return ENOSYS
-        if code == Command.SET_DEVICE and not self._flags & EffectFlag.DEVICE_MASK:
-            return ENOSYS
-        return OK
+        needed = NEEDED_FLAGS.get(Command(code))
+        return OK if needed is None or self._flags & needed else ENOSYS
 
     def parameter(self, name: object) -> Parameter | None:
         """Return the parameter of this name, or None."""

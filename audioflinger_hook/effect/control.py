@@ -1,7 +1,7 @@
 """An effect's lifecycle and commands, as in AudioFlinger's EffectModule."""
 
 from dataclasses import replace
-from enum import Enum, auto
+from enum import Enum
 from pathlib import PurePath
 from traceback import walk_tb
 
@@ -27,17 +27,8 @@ READING = (Command.GET_PARAM, Command.GET_CONFIG, Command.DUMP)
 FRAMEWORK_ONLY = (Command.INIT, Command.SET_CONFIG)
 
 
-class EffectState(Enum):
-    """State of an effect. STOPPED: the effect is disabled, but still outputs its decaying tail."""
-
-    IDLE = auto()
-    STARTING = auto()
-    ACTIVE = auto()
-    STOPPING = auto()
-    STOPPED = auto()
-    RESTART = auto()
-    DESTROYED = auto()
-
+# state of an effect; STOPPED: the effect is disabled, but still outputs its decaying tail
+EffectState = Enum("EffectState", "IDLE STARTING ACTIVE STOPPING STOPPED RESTART DESTROYED")
 
 ENABLED = (EffectState.STARTING, EffectState.ACTIVE, EffectState.RESTART)
 ON_ENABLE = {
@@ -115,8 +106,7 @@ class EffectControl:
 
     def command(self, code: int, data: object = None) -> tuple[int, object]:
         """Execute a client's command, if it is valid. Return (status, reply)."""
-        status = self._check.status(code, data)
-        if status != OK:
+        if (status := self._check.status(code, data)) != OK:
             return status, None
         if self.state is EffectState.DESTROYED or code in FRAMEWORK_ONLY:
             return EINVAL, None
@@ -206,20 +196,19 @@ class EffectControl:
         if bypass:
             self.refusal = self.complaint
 
-    def _initialise(self) -> None:
+    def _initialise(self) -> bool:
         status, _ = self.send(Command.INIT)
         self._initialised = status == OK
         if not self._initialised:
             self._refused("INIT", status)
+        return self._initialised
 
     def _configure(self) -> int:
         self._accepted = False
         if self.config is None or self.fault:
             return EINVAL
-        if not self._initialised:
-            self._initialise()
-            if not self._initialised:
-                return EINVAL
+        if not (self._initialised or self._initialise()):
+            return EINVAL
         status, _ = self.send(Command.SET_CONFIG, self.config)
         if status == OK:
             self._accepted = True
@@ -231,8 +220,7 @@ class EffectControl:
     def _start(self) -> None:
         if self.fault:
             self._forgive()
-            self._initialised = False
-            self._running = False
+            self._initialised = self._running = False
             self._configure()
         if self.fault:
             self.state = EffectState.IDLE
@@ -284,8 +272,7 @@ def error_text(error: BaseException) -> str:
 
 def place_text(error: BaseException) -> str:
     """Return the place where an exception was raised as ` (FILE, line N)`; "" if unknown."""
-    places = [*walk_tb(error.__traceback__)]
-    if not places:
+    if not (places := [*walk_tb(error.__traceback__)]):
         return ""
     frame, line = places[-1]
     return f" ({PurePath(frame.f_code.co_filename).name}, line {line})"

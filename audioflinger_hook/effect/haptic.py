@@ -89,11 +89,8 @@ class Vibration:
 
     def process(self, audio: Frames, out: Float32Array) -> None:
         """Write the vibration of one block to `out` of shape (frames, haptic channels)."""
-        owed = self.transform.process(audio)
-        if self._next is None:
-            self._write(owed, out, self.gain)
-        else:
-            self._write(owed, out, 0.0)
+        self._write(self.transform.process(audio), out, 0.0 if self._next else self.gain)
+        if self._next:
             self.restart(self._next)
 
     def drain(self, haptic_channels: int) -> Float32Array:
@@ -251,13 +248,12 @@ class HapticEffect:
         if not isinstance(config, EffectConfig) or not config.haptic_channels:
             return EINVAL
         before, vibration = self._config, self._vibration
-        same_sound = before is not None and (before.samplerate, before.channels) == (
+        same = before and (before.samplerate, before.channels) == (
             config.samplerate,
             config.channels,
         )
-        if vibration is None or not same_sound:
-            transform = transform_for(config, self._values)
-            if transform is None:
+        if vibration is None or not same:
+            if (transform := transform_for(config, self._values)) is None:
                 return EINVAL
             if vibration is None:
                 vibration = Vibration(transform, amplitude(self._values), config.frames)
@@ -277,10 +273,8 @@ class HapticEffect:
             return EINVAL
         transform = None
         restarting = any(values[name] != self._values[name] for name in RESTARTING)
-        if restarting and self._config is not None:
-            transform = transform_for(self._config, values)
-            if transform is None:
-                return EINVAL
+        if restarting and self._config and not (transform := transform_for(self._config, values)):
+            return EINVAL
         self._values = values
         if self._vibration is not None:
             self._vibration.gain = amplitude(values)

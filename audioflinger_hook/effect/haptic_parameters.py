@@ -132,9 +132,8 @@ def transform_for(config: EffectConfig, values: Values) -> HapticTransform | Non
 
 
 DRAIN = Command.FIRST_PROPRIETARY + 1
-"""Vendor command that ends the sound and resets the effect.
-
-The reply is the remaining vibration, (latency_frames, haptic channels) float32."""
+"""Vendor command that ends the sound and resets the effect. The reply is the remaining vibration,
+(latency_frames, haptic channels) float32."""
 
 PRINCIPAL = Command.FIRST_PROPRIETARY + 2
 """Vendor command that any thread may send. The reply is `HapticTransform.principal`."""

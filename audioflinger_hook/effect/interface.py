@@ -125,11 +125,8 @@ class Command(IntEnum):
     FIRST_PROPRIETARY = 0x10000
 
 
-class Access(IntEnum):
-    """How an effect writes its output: WRITE overwrites samples, ACCUMULATE adds to them."""
-
-    WRITE = 1
-    ACCUMULATE = 2
+# how an effect writes its output: WRITE overwrites samples, ACCUMULATE adds to them
+Access = IntEnum("Access", "WRITE ACCUMULATE")
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,8 @@ from device.units import Float32Array
 LATE_IN_A_ROW = 3  # an engine is bypassed after this many consecutive overruns
 
 BLOCKED_S, BLOCKED_LOOKS = 0.4, 4
-"""An effect is bypassed if one call lasts BLOCKED_S seconds and BLOCKED_LOOKS checks.
-
-With the time limit alone, an effect would be bypassed after the process was suspended."""
+"""An effect is bypassed if one call lasts BLOCKED_S seconds and BLOCKED_LOOKS checks. With the time
+limit alone, an effect would be bypassed after the process was suspended."""
 
 ALWAYS_LOOKS = 30  # an effect is bypassed if this many checks in a row find it in `process`
 APART_S = 0.05  # shortest interval between two checks that count separately
@@ -171,11 +170,8 @@ class Loan:
 
 def same_layout(one: MixBuffer, other: MixBuffer) -> bool:
     """Return whether two buffers have equal shapes and types."""
-    layouts = [
-        [(part.shape, part.dtype) for part in (buffer.samples, buffer.audio, buffer.haptic)]
-        for buffer in (one, other)
-    ]
-    return layouts[0] == layouts[1]
+    pairs = (one.samples, other.samples), (one.audio, other.audio), (one.haptic, other.haptic)
+    return all((a.shape, a.dtype) == (b.shape, b.dtype) for a, b in pairs)
 
 
 def _all_finite(samples: Float32Array) -> bool:

@@ -83,8 +83,7 @@ class EffectRegistry:
                 problem = problem or f"{factory!r} does not make an engine"
             if problem:
                 raise UsageError(f"effect library {library.name!r}: {problem}")
-            taken = found.get(descriptor.uuid) or self._effects.get(descriptor.uuid)
-            if taken:
+            if taken := found.get(descriptor.uuid) or self._effects.get(descriptor.uuid):
                 raise UsageError(
                     f"effect library {library.name!r}: UUID {descriptor.uuid} of effect "
                     f"{descriptor.name!r} is that of effect {taken[0].name!r}; make a new one"
@@ -140,8 +139,7 @@ def _entry_points(
     problems: list[str] = []
     for distribution in distributions():
         try:
-            entries = [e for e in distribution.entry_points if e.group == ENTRY_POINTS]
-            if entries:
+            if entries := [e for e in distribution.entry_points if e.group == ENTRY_POINTS]:
                 # If packages have equal names, the first on the path is used, as for imports.
                 found.setdefault(distribution.name, entries)
         except Exception as error:

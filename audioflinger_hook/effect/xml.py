@@ -207,14 +207,12 @@ class _Resolver:
             raise _Refused(f"effect={name!r} is an unknown effect; left out")
         if self._applied is None:
             return  # the stream is invalid, and `problems` lists it already
-        uuid = self._declared.effects[name]
-        if uuid in self._applied:
+        if (uuid := self._declared.effects[name]) in self._applied:
             raise _Refused(f"effect={name!r} is applied twice; the second is left out")
         self._applied.append(uuid)
 
 
 def _needed(attributes: dict[str, str], *names: str) -> list[str]:
-    missing = [name for name in names if not attributes.get(name)]
-    if missing:
+    if missing := [name for name in names if not attributes.get(name)]:
         raise _Refused(f"has no {' and no '.join(missing)}; left out")
     return [attributes[name] for name in names]

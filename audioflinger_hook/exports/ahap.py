@@ -6,6 +6,7 @@ intensity curve, so the intensity written for a transient is divided by this cur
 the sharpness curve to an event's sharpness. Intensity is the square root of amplitude.
 """
 
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -21,8 +22,9 @@ CONTINUOUS_MAX_S = 30.0
 CURVE_POINTS_MAX = 16
 SHARPNESS_LOW_HZ, SHARPNESS_HIGH_HZ = 65.0, 300.0
 """Frequencies of sharpness 0 and 1; the scale is linear. Apple publishes no scale; these are the
-values in common use.
-"""
+values in common use."""
+# returns the sharpness, 0 to 1, that is written for frequencies in Hz
+sharpness_of = partial(share_of, low_hz=SHARPNESS_LOW_HZ, high_hz=SHARPNESS_HIGH_HZ)
 
 LIMITS = Limits(spacing_s=1 / 59, longest_s=2.0, square_root=True)
 
@@ -62,11 +64,6 @@ def compose(curve: VibrationCurve, duration_s: float, band_hz: Band | None) -> C
     return json_bytes(document), Composed(envelope.error, _warnings(envelope, hz))
 
 
-def sharpness_of(hz: FloatArray) -> FloatArray:
-    """Return the sharpness, 0 to 1, that is written for frequencies in Hz."""
-    return share_of(hz, SHARPNESS_LOW_HZ, SHARPNESS_HIGH_HZ)
-
-
 def _curves(name: str, time_s: FloatArray, values: FloatArray) -> list[dict[str, Any]]:
     """Split a parameter's curve at each step of the value, and into curves of up to 16 points."""
     curves = []
@@ -93,8 +90,7 @@ def _transients(
 ) -> list[dict[str, Any]]:
     events = []
     for one in envelope.transients:
-        level = envelope.level[one.place]
-        intensity = min(1.0, float(np.sqrt(one.amplitude)) / max(level, 1e-6))
+        intensity = min(1.0, float(np.sqrt(one.amplitude)) / max(envelope.level[one.place], 1e-6))
         wanted = sharpness_of(to_device_hz(np.array(one.hz), band_hz))
         added = float(np.clip(wanted - sharpness[one.place], 0.0, 1.0))
         events.append(

@@ -85,16 +85,13 @@ def fitted(times: FloatArray, values: FloatArray, knots: FloatArray) -> FloatArr
     wanted += np.bincount(place + 1, share * values, size)
     # The curve's values at the knots have a small weight, so that knots without samples get values.
     bands = np.vstack((np.concatenate(([0.0], beside[:-1])), diagonal + TIED))
-    found: FloatArray = scipy.linalg.solveh_banded(
-        bands, wanted + TIED * np.interp(knots, times, values)
-    )
-    return found
+    aim = wanted + TIED * np.interp(knots, times, values)
+    return np.asarray(scipy.linalg.solveh_banded(bands, aim))
 
 
 SMOOTHED_S = 0.03
-"""Length of the Hann window that smooths power. The window removes fast fluctuations, which
-a few dozen points a second cannot represent. The window never extends across an onset.
-"""
+"""Length of the Hann window that smooths power. The window removes fast fluctuations, which a few
+dozen points a second cannot represent. The window never extends across an onset."""
 
 TRANSIENT_S = 0.02
 """Duration of a transient, which decays linearly to 0. The transient takes at most half of a rise
@@ -267,5 +264,4 @@ def _errors(
 def _mean(square: FloatArray, half: int) -> FloatArray:
     window = np.hanning(2 * half + 3)[1:-1]
     part = slice(half, half + square.size)
-    weight = np.convolve(np.ones(square.size), window)[part]
-    return np.convolve(square, window)[part] / weight
+    return np.convolve(square, window)[part] / np.convolve(np.ones(square.size), window)[part]

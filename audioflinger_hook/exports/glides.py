@@ -75,8 +75,7 @@ def rising(design: LiveDesign, rows: FloatArray) -> NDArray[np.bool_]:
     of_hop = rows[:, SLOT] < first_onset_slot(design)
     rise = np.where(of_hop, rows[:, END_LEVEL] - rows[:, START_LEVEL], 0.0)
     _, hop = np.unique(rows[:, FRAME], return_inverse=True)
-    found: NDArray[np.bool_] = of_hop & (np.bincount(hop, rise)[hop] > design.synthesis.still)
-    return found
+    return np.asarray(of_hop & (np.bincount(hop, rise)[hop] > design.synthesis.still))
 
 
 def analytic(
@@ -159,8 +158,7 @@ class CurveReader:
                 added = np.stack((signal, power, power * hz), axis=1)
                 for one, place in zip(added, first[chosen].tolist(), strict=True):
                     self._sums[:, place : place + one.shape[1]] += one
-        sample_frames = design.grid.decimation * self._steps
-        samples = int(frame // sample_frames) - self._samples
+        samples = int(frame // (design.grid.decimation * self._steps)) - self._samples
         if samples <= 0:
             return
         self._samples += samples
@@ -177,8 +175,7 @@ class CurveReader:
         self._hz.append(hz.astype(np.float32))
 
     def _reserve(self, steps: int) -> None:
-        lacking = max(0, steps - self._sums.shape[1])
-        self._sums = np.pad(self._sums, ((0, 0), (0, lacking)))
+        self._sums = np.pad(self._sums, ((0, 0), (0, max(0, steps - self._sums.shape[1]))))
 
     def curve(self, duration_s: float) -> VibrationCurve:
         """Return the curve of the vibration of the whole sound."""
@@ -224,7 +221,6 @@ def held(hz: NDArray[np.float32]) -> NDArray[np.float32]:
     known = np.isfinite(hz)
     if not known.any():
         return np.full(hz.size, 100.0, np.float32)
-    place = np.where(known, np.arange(hz.size), -1)
-    last = np.maximum.accumulate(place)
+    last = np.maximum.accumulate(np.where(known, np.arange(hz.size), -1))
     last[last < 0] = int(known.argmax())
     return hz[last]

@@ -4,6 +4,7 @@ An envelope has at least two points, in order of time. An emphasis is a pulse th
 the envelope. The amplitude of an emphasis is at least that of the envelope at the same time.
 """
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,9 @@ from device.units import FloatArray
 
 LIMITS = Limits(spacing_s=1 / 59, longest_s=2.0)
 
+# maps 20-220 Hz to 0-1, which a player maps to the frequency band of its actuator
+_relative = partial(share_of, low_hz=VIBRATION_LOW_HZ, high_hz=VIBRATION_HIGH_HZ)
+
 
 def compose(curve: VibrationCurve, duration_s: float, band_hz: Band | None) -> Content:
     """Return the content of a .haptic file, with its measured errors and warnings."""
@@ -37,9 +41,7 @@ def compose(curve: VibrationCurve, duration_s: float, band_hz: Band | None) -> C
         "version": {"major": 1, "minor": 0, "patch": 0},
         "metadata": {
             "editor": "Haptic Cushion",
-            "author": "",
-            "source": "",
-            "project": "",
+            **dict.fromkeys(("author", "source", "project"), ""),
             "tags": [],
             "description": (
                 f"frequency 0 to 1 is {VIBRATION_LOW_HZ:g} to {VIBRATION_HIGH_HZ:g} Hz of "
@@ -56,8 +58,3 @@ def _points(name: str, time_s: FloatArray, values: FloatArray) -> list[dict[str,
         {"time": rounded(at), name: rounded(value)}
         for at, value in zip(time_s, values, strict=True)
     ]
-
-
-def _relative(hz: FloatArray) -> FloatArray:
-    """Map 20-220 Hz to 0-1, which a player maps to the frequency band of its actuator."""
-    return share_of(hz, VIBRATION_LOW_HZ, VIBRATION_HIGH_HZ)

@@ -50,8 +50,7 @@ class HjifWriter(TrackWriter):
     def write_rest(self, duration_s: float) -> dict[str, int]:
         """Write the file. UsageError: the format has too few bands for simultaneous partials."""
         channels = [_banded(effects) for effects in self._effects]
-        most = max(len(bands) for bands in channels)
-        if most > LEVEL_2_BANDS:
+        if (most := max(len(bands) for bands in channels)) > LEVEL_2_BANDS:
             raise UsageError(
                 f"{most} partials sound at the same time, but the format hjif has "
                 f"{LEVEL_2_BANDS} bands; set partials_max to 16 or less, or use the format partials"

@@ -177,8 +177,7 @@ class TrackWriter(ABC):
 
     def _take_all(self) -> None:
         ended, self._ended, self._waiting_s = self._ended, [], 0.0
-        tracks = audible_tracks(self._job.design, self._job.gain, ended, self._counts)
-        if tracks:
+        if tracks := audible_tracks(self._job.design, self._job.gain, ended, self._counts):
             self.take([(channel, track.on_device(self._band_hz)) for channel, track in tracks])
 
     @abstractmethod

@@ -23,8 +23,7 @@ from device.units import Float32Array, FloatArray, amplitude_to_db, check_channe
 
 BLOCK_FRAMES = 4_096
 """Frames for each call of the encoder. The constant size makes a file's bytes independent of the
-caller's blocks, and limits the stack of the Vorbis encoder.
-"""
+caller's blocks, and limits the stack of the Vorbis encoder."""
 BLOCKS_AHEAD = 2  # blocks that may wait for a `BackgroundOutput`
 LARGE_FRAMES = 65_536  # FLAC's bytes do not depend on the size, and large blocks cost less
 
@@ -47,8 +46,7 @@ class LibsndfileTarget:
         return len(content)
 
     def _store(self, content: bytes) -> None:
-        over = content[: self._size - self._position]
-        if over:
+        if over := content[: self._size - self._position]:
             self.file.overwrite(over, self._position)
         if rest := content[len(over) :]:
             self.file.write(rest)
@@ -127,8 +125,7 @@ class SoundFileOutput:
             self.limited_samples += int(np.count_nonzero(np.abs(samples) > 1.0))
             np.clip(samples, -1.0, 1.0, out=samples)
         self._held = np.concatenate((self._held, samples)) if len(self._held) else samples
-        whole = len(self._held) - len(self._held) % BLOCK_FRAMES
-        self._encode(whole)
+        self._encode(len(self._held) - len(self._held) % BLOCK_FRAMES)
 
     def close(self) -> None:
         """Encode the remaining samples, and give the file its final name."""
@@ -301,10 +298,16 @@ class LeakMeter(WrappedOutput):
     def write(self, vibration: FloatArray | Float32Array) -> None:
         """Measure a block, (frames, channels), and pass it on."""
         check_channels(vibration, self.channels)
-        self._measure(vibration)
         if self._watch and len(vibration):
             self._watch.watch(vibration, self.samplerate)
         super().write(vibration)
+        while len(vibration):
+            taken = vibration[: self._held.shape[1] - self._filled]
+            self._held[:, self._filled : self._filled + len(taken)] = taken.T
+            self._filled += len(taken)
+            vibration = vibration[len(taken) :]
+            if self._filled == self._held.shape[1]:
+                self._add_windows(BATCH_WINDOWS)
 
     def close(self) -> None:
         """Measure the last windows, and close the output."""
@@ -316,15 +319,6 @@ class LeakMeter(WrappedOutput):
         if self._watch:
             self._watch.finish(self._power.T, self.samplerate)
         super().close()
-
-    def _measure(self, vibration: FloatArray | Float32Array) -> None:
-        while len(vibration):
-            taken = vibration[: self._held.shape[1] - self._filled]
-            self._held[:, self._filled : self._filled + len(taken)] = taken.T
-            self._filled += len(taken)
-            vibration = vibration[len(taken) :]
-            if self._filled == self._held.shape[1]:
-                self._add_windows(BATCH_WINDOWS)
 
     def _add_windows(self, count: int) -> None:
         window = _window(self._hop)

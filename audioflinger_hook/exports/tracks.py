@@ -31,8 +31,7 @@ from device.units import FloatArray
 
 LONGEST_TRACK_S = 10.0
 """A longer track is split, so that memory does not depend on its length. At a split, the sum of
-both parts is inexact until the filters settle.
-"""
+both parts is inexact until the filters settle."""
 
 # The low-pass rings after a track. The ringing counts as part of the track until it falls below
 # `FAINT` of the track's largest amplitude, but for at most `RING_S`.
@@ -70,10 +69,8 @@ class PartialTrack:
         slope = np.diff(self.hz)[place] / length
         # Linear frequency does not give the exact phase: spread the difference over the interval.
         missed = np.diff(self.turns)[place] - length * (self.hz[place] + 0.5 * slope * length)
-        turns: FloatArray = self.turns[place] + since * (
-            self.hz[place] + 0.5 * slope * since + missed / length
-        )
-        return turns
+        mean_hz = self.hz[place] + 0.5 * slope * since + missed / length
+        return np.asarray(self.turns[place] + since * mean_hz)
 
     def on_device(self, band_hz: Band | None) -> "PartialTrack":
         """Return the track with its frequencies mapped to a device's band; see `to_device_hz`."""
@@ -81,8 +78,7 @@ class PartialTrack:
             return self
         hz = to_device_hz(self.hz, band_hz)
         turned = np.cumsum(np.diff(self.time_s) * (hz[1:] + hz[:-1]) / 2)
-        turns = self.turns[0] + np.concatenate(([0.0], turned))
-        return replace(self, hz=hz, turns=turns)
+        return replace(self, hz=hz, turns=self.turns[0] + np.concatenate(([0.0], turned)))
 
 
 @dataclass(frozen=True)

@@ -35,8 +35,7 @@ def compose(curve: VibrationCurve, duration_s: float, band_hz: Band | None) -> C
     length_s = max(1e-3 * POINT_MIN_MS, duration_s)
     for tolerance in TOLERANCES:
         envelope = envelope_of(curve, length_s, replace(LIMITS, tolerance=tolerance))
-        points = _points(envelope)
-        if len(points) > POINTS_MAX:
+        if len(points := _points(envelope)) > POINTS_MAX:
             continue
         ends_s = 1e-3 * np.cumsum([0, *(duration for duration, _, _ in points)])
         levels = np.array([0.0, *(level for _, level, _ in points)])
@@ -90,8 +89,7 @@ def _points(envelope: Envelope) -> list[tuple[int, float, float]]:
 
 
 def _waveform_effect(curve: VibrationCurve, duration_s: float, band_hz: Band | None) -> Content:
-    steps = _steps(curve, duration_s)
-    if len(steps) > STEPS_MAX:
+    if len(steps := _steps(curve, duration_s)) > STEPS_MAX:
         raise UsageError(
             f"the sound of {duration_s:.0f} s needs {len(steps)} steps in the format "
             f"vibration-xml; allowed: {STEPS_MAX}, about {STEPS_MAX * STEP_MS / 1e3:g} s of "

@@ -85,8 +85,7 @@ def spectrogram_db(
     power = np.empty((rows_hz.size, starts.size))
     for first in range(0, starts.size, _WINDOWS_PER_BATCH):
         batch = starts[first : first + _WINDOWS_PER_BATCH]
-        spectrum = rfft(windows[batch] * window, transform_frames, axis=1)
-        amplitude = np.abs(spectrum.T) * scale
+        amplitude = np.abs(rfft(windows[batch] * window, transform_frames, axis=1).T) * scale
         lower = amplitude[below]
         picked = lower + (amplitude[below + 1] - lower) * fraction
         if coarse.size:

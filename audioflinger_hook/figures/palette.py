@@ -53,8 +53,7 @@ def indexed_png(rgba: NDArray[np.uint8], dots_per_inch: int, description: str = 
     colours += [colours[-1]] * (256 - len(colours))
     palette = Image.new("P", (1, 1))
     palette.putpalette(np.round(255.0 * np.array(colours)).astype(np.uint8).tobytes())
-    picture = Image.fromarray(rgba[:, :, :3])
-    indexed = picture.quantize(palette=palette, dither=Image.Dither.NONE)
+    indexed = Image.fromarray(rgba[:, :, :3]).quantize(palette=palette, dither=Image.Dither.NONE)
     content, texts = io.BytesIO(), PngInfo()
     if description:
         texts.add_text("Description", description)

@@ -5,7 +5,8 @@ from statistics import mean, median_high
 
 from audioflinger_hook.mixer.mixer import Mixer, MixerState
 from audioflinger_hook.mixer.track import Track
-from audioflinger_hook.mixer.track_mixer import decibels, gains_of
+from audioflinger_hook.mixer.track_mixer import gains_of
+from device.units import amplitude_to_db
 
 
 def dump(mixer: Mixer, cycle_times_s: Sequence[float] = ()) -> str:
@@ -69,7 +70,6 @@ def _tracks(mixer: Mixer) -> list[str]:
 
 def _row(track: Track, mix_channels: int) -> dict[str, str]:
     gains = gains_of(track.volume, mix_channels)
-    right = gains[1] if mix_channels > 1 else gains[0]
     return {
         "Id": str(track.id),
         "Active": _yes_no(track.is_active),
@@ -79,8 +79,8 @@ def _row(track: Track, mix_channels: int) -> dict[str, str]:
         "Format": track.format.value,
         "Chn": str(track.channels),
         "SRate": str(track.samplerate),
-        "L dB": f"{decibels(gains[0]):.1f}",
-        "R dB": f"{decibels(right):.1f}",
+        "L dB": f"{amplitude_to_db(gains[0]):.1f}",
+        "R dB": f"{amplitude_to_db(gains[:2][-1]):.1f}",
         "FrmCnt": str(track.ring.capacity_frames),
         "FrmRdy": str(track.frames_ready),
         "StartThr": str(track.start_threshold),

@@ -41,9 +41,8 @@ def source_weights(channels: int, sources: Sequence[str]) -> NDArray[np.float64]
         places = letters[source](channels)
         own = source[0].upper()
         if set(places) >= set(_OPPOSITES[own]):
-            mean = np.array(
-                [1.0 if place == own else MINUS_3_DB if place == "C" else 0.0 for place in places]
-            )
+            shares = {own: 1.0, "C": MINUS_3_DB}
+            mean = np.array([shares.get(place, 0.0) for place in places])
             mean /= mean.sum()
             on_side = _HALVES if source in ("front", "back") else {}
             for row, side, share in zip(weights[:, column], sides(channels), mean, strict=True):
@@ -67,10 +66,7 @@ class ChannelMap:
         self.spreads = track_channels < mix_channels
         # NumPy broadcasts a mono track to all mix channels without a copy.
         self._passes = track_channels in (1, mix_channels)
-        self._routes = [
-            (source, target, matrix[source, target])
-            for source, target in np.argwhere(matrix).tolist()
-        ]
+        self._routes = [(*place, matrix[tuple(place)]) for place in np.argwhere(matrix).tolist()]
 
     def apply(self, frames: Float32Array, out: Float32Array, spare: Float32Array) -> Float32Array:
         """Convert frames, (n, track channels), to the channels of the mix.

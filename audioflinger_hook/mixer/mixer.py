@@ -89,7 +89,7 @@ class Mixer:
         self._lanes: tuple[Lane, ...] = ()
         self._sessions: dict[int, SessionMix] = {}
         self._chains: frozenset[int] = frozenset()
-        self._empty = True
+        self.empty = True
         self._track_ids = itertools.count(1)
         self._last_ready_s = 0.0
         self._standby_delay_s = standby_delay_s
@@ -214,20 +214,16 @@ class Mixer:
         for of_player in self._sessions.values():
             of_player.buffer.hold(frames)
         self.buffer.haptic[...] = 0.0
-        self._empty = True
+        self.empty = True
         mixed = underruns = 0
         for lane in active:
-            readiness = lane.prepare(frames)
-            if readiness is not Readiness.READY:
+            if (readiness := lane.prepare(frames)) is not Readiness.READY:
                 underruns += readiness is Readiness.UNDERRUN
                 continue
             mixed += 1
-            session_mix = self._sessions.get(lane.track.session)
-            if session_mix is not None:
-                session_mix.add(lane, scratch)
-            else:
-                lane.mix(self.buffer.audio, scratch, first=self._empty)
-                self._empty = False
+            mix: Mixer | SessionMix = self._sessions.get(lane.track.session, self)
+            lane.mix(mix.buffer.audio, scratch, first=mix.empty)
+            mix.empty = False
         return mixed, underruns
 
     def _process(self, now_s: float) -> None:
@@ -237,12 +233,12 @@ class Mixer:
             if not session_mix.begin():
                 continue
             self.effects.process(session, session_mix.buffer, now_s)
-            if self._empty:
+            if self.empty:
                 buffer.samples[...] = session_mix.buffer.samples
-                self._empty = False
+                self.empty = False
             else:
                 buffer.samples += session_mix.buffer.samples
-        if self._empty:
+        if self.empty:
             buffer.audio[...] = 0.0
         if self.on_mix is not None:
             self.on_mix(buffer.audio)
@@ -257,18 +253,13 @@ class SessionMix:
     def __init__(self, samplerate: int, frames: int, channels: int, haptic_channels: int) -> None:
         self.buffer = mix_buffer.MixBuffer(frames, channels, haptic_channels)
         self._tail_whole = round(TAIL_S * samplerate)
-        self._tail_left, self._empty = 0, True
-
-    def add(self, lane: Lane, scratch: Float32Array) -> None:
-        """Add a track for which `Lane.prepare` has returned READY."""
-        lane.mix(self.buffer.audio, scratch, first=self._empty)
-        self._empty = False
+        self._tail_left, self.empty = 0, True  # empty: whether no track was added
 
     def begin(self) -> bool:
         """Prepare the buffer for effects; return False if no track was added for `TAIL_S`."""
         self.buffer.haptic[...] = 0.0
-        if not self._empty:
-            self._empty = True
+        if not self.empty:
+            self.empty = True
             self._tail_left = self._tail_whole
             return True
         self.buffer.audio[...] = 0.0
@@ -280,5 +271,5 @@ class SessionMix:
     def clear(self) -> None:
         """Set the samples to 0, for standby."""
         self.buffer.clear()
-        self._empty = True
+        self.empty = True
         self._tail_left = 0

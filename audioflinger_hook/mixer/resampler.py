@@ -158,12 +158,10 @@ class Resampler:
             self._base += kept
             held = end - kept
             wanted = held + count + self._kernel.slack
-            if wanted > len(self._inputs):
-                grown = np.zeros((2 * wanted, self._inputs.shape[1]), np.float32)
-                grown[:held] = self._inputs[kept:end]
-                self._inputs = grown
-            else:
-                self._inputs[:held] = self._inputs[kept:end]
+            before = self._inputs
+            if wanted > len(before):
+                self._inputs = np.zeros((2 * wanted, before.shape[1]), np.float32)
+            self._inputs[:held] = before[kept:end]
             end = held
         self._fed += count
         room = self._inputs[end : end + count]

@@ -29,14 +29,8 @@ class TrackState(Enum):
     FLUSHED = "flushed"  # the frames written before the flush are dropped
 
 
-class Request(Enum):
-    """A request from the client of a track to the mixer."""
-
-    START = "start"
-    PAUSE = "pause"
-    STOP = "stop"
-    FLUSH = "flush"
-    REMOVE = "remove"
+# a request from the client of a track to the mixer
+Request = Enum("Request", "START PAUSE STOP FLUSH REMOVE")
 
 
 # A tuple is faster than a set, because Enum's hash function is Python code.
@@ -175,11 +169,8 @@ class Track:
         ring, rows = self.ring, self._rows(samples)
         taken = min(len(rows), ring.room)
         first, second = ring.spans(ring.written, taken)
-        if self.format is PcmFormat.FLOAT:
-            first[...], second[...] = rows[: len(first)], rows[len(first) : taken]
-        else:
-            decode_rows(rows[: len(first)], self.format, first)
-            decode_rows(rows[len(first) : taken], self.format, second)
+        decode_rows(rows[: len(first)], self.format, first)
+        decode_rows(rows[len(first) : taken], self.format, second)
         ring.written += taken
         return taken
 

@@ -1,6 +1,5 @@
 """The mixer's side of a track: executes requests, converts frames and adds frames to the mix."""
 
-import math
 from collections.abc import Sequence
 from enum import Enum
 
@@ -100,11 +99,6 @@ def _rise(frames: int) -> Float32Array:
     return (np.arange(frames, dtype=np.float64) / frames).astype(np.float32)[:, None]
 
 
-def decibels(gain: float) -> float:
-    """Return a gain in decibels, -inf for 0."""
-    return 20.0 * math.log10(gain) if gain > 0.0 else -math.inf
-
-
 class Readiness(Enum):
     """Whether a cycle can mix a track."""
 
@@ -122,7 +116,6 @@ class Lane:
     def __init__(self, track: Track, samplerate: int, channels: int, frames: int) -> None:
         self.track = track
         self.gone = False
-        self._state = track.mixed_state
         self._filling, self._leaving = True, False
         self._missed_frames = self._written_when_disabled = self._stop_at = self._tail_frames = 0
         self._channels, self._frames = channels, frames
@@ -145,7 +138,7 @@ class Lane:
     @property
     def is_active(self) -> bool:
         """Whether the track takes part in this cycle."""
-        return self._state in PLAYING and not self.track.disabled
+        return self.track.mixed_state in PLAYING and not self.track.disabled
 
     def update(self) -> None:
         """Execute the client's requests. During a fade-out, all requests except START wait."""
@@ -153,10 +146,10 @@ class Lane:
         self._settle()
         while requests:
             request, written = requests[0]
-            if self._state is TrackState.PAUSING and request is not Request.START:
+            if self.track.mixed_state is TrackState.PAUSING and request is not Request.START:
                 break  # fade out first
-            if request is Request.FLUSH and self._state is TrackState.STOPPING:
-                self._move_to(TrackState.PAUSING)
+            if request is Request.FLUSH and self.track.mixed_state is TrackState.STOPPING:
+                self.track.mixed_state = TrackState.PAUSING
                 break  # the track still plays: fade out first, then flush
             requests.popleft()
             self._carry_out(request, written)
@@ -168,10 +161,9 @@ class Lane:
         self._cycle_frames = frames
         self._needed = resampler.frames_needed(frames) if resampler else frames
         self._take = min(self._ready(), self._needed)
-        if self._state is TrackState.STOPPING:
+        if self.track.mixed_state is TrackState.STOPPING:
             return Readiness.READY
-        if self._filling and self._ready() >= self.track.start_threshold:
-            self._filling = False
+        self._filling = self._filling and self._ready() < self.track.start_threshold
         if not self._filling and self._take == self._needed:
             self._missed_frames = 0
             return Readiness.READY
@@ -188,18 +180,17 @@ class Lane:
             self._resampler.produce(sound)
         if self._map.spreads:
             sound = self._map.apply(sound, self._mapped, self._spare)
-        volume = self.track.volume
-        if volume is not self._volume:
+        if (volume := self.track.volume) is not self._volume:
             self._volume, self._gains = volume, gains_of(volume, self._channels)
-        goal = None if self._state is TrackState.PAUSING else self._gains
+        goal = None if self.track.mixed_state is TrackState.PAUSING else self._gains
         self._ramp.mix(sound, target, goal, scratch, first=first)
         # The client may now overwrite the frames in the ring.
         self.track.ring.read += self._take
-        if self._state is TrackState.PAUSING:
-            self._move_to(TrackState.PAUSED)
-        elif self._state is TrackState.RESUMING:
-            self._move_to(TrackState.ACTIVE)
-        elif self._state is TrackState.STOPPING:
+        if self.track.mixed_state is TrackState.PAUSING:
+            self.track.mixed_state = TrackState.PAUSED
+        elif self.track.mixed_state is TrackState.RESUMING:
+            self.track.mixed_state = TrackState.ACTIVE
+        elif self.track.mixed_state is TrackState.STOPPING:
             self._tail_frames -= self._needed - self._take
             self._settle()
 
@@ -217,9 +208,9 @@ class Lane:
 
     def _miss(self) -> Readiness:
         track = self.track
-        if self._state is TrackState.PAUSING:
+        if self.track.mixed_state is TrackState.PAUSING:
             self._ramp.mute()
-            self._move_to(TrackState.PAUSED)
+            self.track.mixed_state = TrackState.PAUSED
             return Readiness.WAITING
         self._missed_frames += self._cycle_frames
         if self._missed_frames >= RETRIES * self._frames:
@@ -235,14 +226,13 @@ class Lane:
     def _ready(self) -> int:
         """Return the number of frames in the ring; frames written after a stop do not count."""
         ring = self.track.ring
-        if self._state is TrackState.STOPPING:
+        if self.track.mixed_state is TrackState.STOPPING:
             return max(0, self._stop_at - ring.read)
         return ring.written - ring.read
 
     def _carry_out(self, request: Request, written: int) -> None:
-        track, before = self.track, self._state
-        state = after(before, request)
-        self._move_to(state)
+        track, before = self.track, self.track.mixed_state
+        state = track.mixed_state = after(before, request)
         if request is Request.REMOVE:
             self._leaving = True
         if before is state:
@@ -266,13 +256,13 @@ class Lane:
             self._missed_frames = 0
             self._filling = True
         heard = self._ramp.gains is not None
-        if self._state is TrackState.PAUSING and (track.disabled or not heard):
+        if self.track.mixed_state is TrackState.PAUSING and (track.disabled or not heard):
             if heard:
                 self._ramp.mute()
-            self._move_to(TrackState.PAUSED)
+            self.track.mixed_state = TrackState.PAUSED
         drained = self._ready() == 0 and (self._tail_frames <= 0 or not heard)
-        if self._state is TrackState.STOPPING and drained:
-            self._move_to(TrackState.STOPPED)
+        if self.track.mixed_state is TrackState.STOPPING and drained:
+            self.track.mixed_state = TrackState.STOPPED
             self._rewind()
         self.gone = self._leaving and not self.is_active
 
@@ -282,6 +272,3 @@ class Lane:
         self._ramp.gains = None
         if self._resampler is not None:
             self._resampler.reset()
-
-    def _move_to(self, state: TrackState) -> None:
-        self._state = self.track.mixed_state = state

@@ -37,8 +37,7 @@ def band(
 ) -> FloatArray:
     """Return `signal` after a Butterworth filter along axis 0. A band edge of None is omitted."""
     high_hz = None if high_hz is None or high_hz >= 0.45 * samplerate else high_hz
-    corners_hz = [hz for hz in (low_hz, high_hz) if hz is not None]
-    if not corners_hz:
+    if not (corners_hz := [hz for hz in (low_hz, high_hz) if hz is not None]):
         return signal
     kind = "bandpass" if len(corners_hz) == 2 else "lowpass" if low_hz is None else "highpass"
     sos = scipy.signal.butter(order, np.squeeze(corners_hz), kind, fs=samplerate, output="sos")

@@ -123,7 +123,7 @@ def engine(samplerate: int, rng: np.random.Generator, peak: float) -> Float32Arr
 
     combustion = _orders(cycle_phase, rng) * (0.06 + load)
     roar = band(rng.standard_normal(time_s.size), 220.0, 3200.0, samplerate, order=1)
-    combustion += 0.3 * roar * load * (0.35 + _pulses(cycle_phase, orders=8, sharpness=3))
+    combustion += 0.3 * roar * load * (0.35 + (0.5 + 0.5 * np.cos(8 * cycle_phase)) ** 3)
 
     tone = 0.55 * combustion
     for frequency_hz, decay_s, gain in RESONANCES:
@@ -152,17 +152,12 @@ def _orders(cycle_phase: FloatArray, rng: np.random.Generator) -> FloatArray:
     return total
 
 
-def _pulses(cycle_phase: FloatArray, *, orders: int, sharpness: int) -> FloatArray:
-    """Return a train of `orders` pulses per cycle with values from 0 to 1."""
-    return (0.5 + 0.5 * np.cos(orders * cycle_phase)) ** sharpness
-
-
 def _starter(
     time_s: FloatArray, cycle_phase: FloatArray, samplerate: int, rng: np.random.Generator
 ) -> FloatArray:
     """Return the starter motor's sound: a tone, lower at each compression, and noise pulses."""
     on = curve(time_s, ((0.0, 0.0), (0.03, 1.0), (CATCH_S - 0.04, 1.0), (CATCH_S + 0.06, 0.0)))
-    compression = _pulses(cycle_phase, orders=8, sharpness=2)
+    compression = (0.5 + 0.5 * np.cos(8 * cycle_phase)) ** 2
     whine_phase = phase(330.0 - 70.0 * compression, samplerate)
     whine = np.sin(whine_phase) + 0.5 * np.sin(2.0 * whine_phase) + 0.3 * np.sin(5.0 * whine_phase)
     chug = band(rng.standard_normal(time_s.size), 60.0, 700.0, samplerate, order=1)

@@ -18,14 +18,12 @@ POWER_S = 0.05  # time constant of the averages of the powers of m and s
 
 NEWEST_S, EVIDENCE_S, EVIDENCE_FRAMES = 0.000_25, 0.000_062_5, 3
 """Time constant of the newest power, and shortest duration of cancellation in seconds and frames.
-
 The first samples of a sound can be opposite by chance. When opposite channels start, the factor
 rises after 0.7 ms and reaches 1 after 3 ms."""
 
 CANCELS_FROM, CANCELS_UP_TO = 0.1, 0.025
-"""Shares of m in the power of both halves, -10 and -16 dB, for factors of 0 and 1.
-
-With independent channels of equal power, m has a share of 0.5."""
+"""Shares of m in the power of both halves, -10 and -16 dB, for factors of 0 and 1. With independent
+channels of equal power, m has a share of 0.5."""
 
 POWER_GUARD = 1e-25  # added before squaring, to avoid slow subnormal numbers
 

@@ -115,10 +115,8 @@ def _split(roots: ComplexArray, centre: float) -> ComplexArray:
 def _digital(analogue: Roots) -> Roots:
     """Return the bilinear transform of an analogue filter at a samplerate of 2 Hz."""
     zeros, poles, gain = analogue
-    scale = np.real(np.prod(4.0 - zeros) / np.prod(4.0 - poles))
-    at_nyquist = -np.ones(poles.size - zeros.size)
     return Roots(
-        np.concatenate(((4.0 + zeros) / (4.0 - zeros), at_nyquist)),
+        np.concatenate(((4.0 + zeros) / (4.0 - zeros), -np.ones(poles.size - zeros.size))),
         (4.0 + poles) / (4.0 - poles),
-        float(gain * scale),
+        float(gain * np.real(np.prod(4.0 - zeros) / np.prod(4.0 - poles))),
     )

@@ -196,8 +196,7 @@ class TransformParameters(Described):
     @property
     def live_threshold_hz(self) -> float:
         """C_th of the live form: `threshold_hz` lowered by `loudness_db`, but at least 0.001 Hz."""
-        lowered = self.threshold_hz * math.pow(10.0, -self.loudness_db / 20.0)
-        return max(lowered, THRESHOLD_MIN_HZ)
+        return max(self.threshold_hz * math.pow(10.0, -self.loudness_db / 20.0), THRESHOLD_MIN_HZ)
 
     def window_frames(self, samplerate: int) -> int:
         """Return N = round(T fs), the number of frames in an analysis window."""

@@ -31,8 +31,7 @@ class Spectrum:
         """Return the `Spectrum` for parameters and a samplerate in Hz."""
         frames = parameters.window_frames(samplerate)
         hamming = 0.54 - 0.46 * np.cos(2.0 * np.pi * np.arange(frames) / frames)
-        window = hamming * (2.0 / hamming.sum())
-        return cls(samplerate, window, parameters.fft_length(samplerate))
+        return cls(samplerate, hamming * (2.0 / hamming.sum()), parameters.fft_length(samplerate))
 
     @property
     def window_frames(self) -> int:
@@ -121,8 +120,7 @@ class PrincipalFinder:
         )
         bandwidth_hz = (sides[: peak.size] + sides[peak.size :]) * self._bin_hz
         r = height * bandwidth_hz
-        audio_hz = (bin_in_row + offset) * self._bin_hz
-        found = Principals(row, audio_hz, height, bandwidth_hz, r)
+        found = Principals(row, (bin_in_row + offset) * self._bin_hz, height, bandwidth_hz, r)
         principal = r > self._threshold
         return found if principal.all() else found.take(principal)
 

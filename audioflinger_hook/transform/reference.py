@@ -20,9 +20,8 @@ from device.layouts import downmix
 
 EPSILON = 2.0**-52
 ANGLE_ERROR = 8.0
-"""Bound of the difference of angles in `exact` and `single`, in epsilons of the largest angle.
-
-Each method rounds an angle three times by half an epsilon, so the difference is at most 3."""
+"""Bound of the difference of angles in `exact` and `single`, in epsilons of the largest angle. Each
+method rounds an angle three times by half an epsilon, so the difference is at most 3."""
 
 TERM_ERROR = 16.0
 """Bound of the error of adding one partial, in epsilons of its weight. The error is at most 13."""
@@ -134,8 +133,7 @@ class ReferenceTransform:
 
     def cut_last(self) -> FloatArray:
         """Return the incomplete unit, padded with zeros, (1, N); (0, N) if there is none."""
-        padding = -self._pending.size % self.latency_frames
-        last = np.concatenate((self._pending, np.zeros(padding)))
+        last = np.concatenate((self._pending, np.zeros(-self._pending.size % self.latency_frames)))
         self._pending = last[:0]
         return last.reshape(-1, self.latency_frames)
 
@@ -160,12 +158,8 @@ class ReferenceTransform:
             weight[unit] = self._mapping.amplitudes(found.amplitude[unit], found.r[unit])
         if self._single:
             return self._superposition.single(weight, hz, edges)
-        return np.stack(
-            [
-                self._superposition.exact(weight[first:end], hz[first:end])
-                for first, end in pairwise(edges)
-            ]
-        )
+        parts = ((weight[first:end], hz[first:end]) for first, end in pairwise(edges))
+        return np.stack([self._superposition.exact(*part) for part in parts])
 
 
 class ReferenceStream:
@@ -184,8 +178,7 @@ class ReferenceStream:
         weights: FloatArray | None = None,
     ) -> None:
         self.latency_frames = self.tonal_latency_frames = transforms[0].latency_frames
-        self.delivered_frames = 0
-        self.replaced_samples = 0
+        self.delivered_frames = self.replaced_samples = 0
         self._transforms = transforms
         self._channels = channels
         halves = [downmix(channels)] if len(transforms) == 1 else []

@@ -106,9 +106,8 @@ def find_card(name: str, root: Path = PROC) -> Card:
     for card in cards:
         if name in (card.id, str(card.number)):
             return card
-    names = [card.id for card in cards]
-    if name.isdecimal():  # a number has no similar ids
-        names = [f"{card.number} ({card.id})" for card in cards]
+    # a number has no similar ids
+    names = [f"{card.number} ({card.id})" if name.isdecimal() else card.id for card in cards]
     raise NotFoundError(
         no_such("sound card", name, names, "connect one, or name a sink of the sound server")
     )
@@ -139,8 +138,7 @@ find_capture = partial(find_playback, kind="capture")  # like `find_playback`, f
 
 def parse_card_address(name: str) -> re.Match[str]:
     """Return a match with the groups `card` and `device`. UsageError: the address is malformed."""
-    match = _ADDRESS.fullmatch(name)
-    if match is None:
+    if (match := _ADDRESS.fullmatch(name)) is None:
         raise UsageError(
             f"device 'hw:{name}' is not hw:CARD or hw:CARD,DEVICE, with the card's number or id "
             "from /proc/asound/cards"
@@ -186,8 +184,7 @@ def find_owner(playback: AlsaDevice, processes: Path = Path("/proc")) -> str | N
             return None
         digits = read_fields(status).get("owner_pid", "")
         if first is None and digits.isdecimal():
-            thread = processes / digits
-            process = read_fields(thread / "status").get("Tgid", digits)
+            process = read_fields(processes / digits / "status").get("Tgid", digits)
             name = read_text(processes / process / "comm").strip() or "another program"
             first = f"{name} (process {process})"
     return first

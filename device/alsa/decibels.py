@@ -62,8 +62,7 @@ def _level(words: list[int], lowest: int, highest: int, depth: int) -> Level | N
         return None
     if kind == _CONTAINER:
         while len(body) >= 2:
-            level = _level(body, lowest, highest, depth + 1)
-            if level is not None:
+            if (level := _level(body, lowest, highest, depth + 1)) is not None:
                 return level
             body = body[2 + (body[1] + 3) // 4 :]
         return None
@@ -94,25 +93,16 @@ def _pieces(body: list[int], depth: int) -> Level | None:
         body = body[4 + (body[3] + 3) // 4 :]
     if not found:
         return None
-
-    def level_of(step: int) -> float:
-        for last, level in found:
-            if step <= last:
-                return level(step)
-        return level(last)
-
-    return level_of
+    return lambda step: next((one for last, one in found if step <= last), found[-1][1])(step)
 
 
 def _even(first: int, rise: int, steps: int, lowest: int, silent: bool) -> Level:
     """Return a level function that is linear in dB. rise: over `steps` steps, in 0.01 dB."""
-
-    def level(step: int) -> float:
-        if silent and step <= lowest:
-            return -math.inf
-        return (first + rise * (step - lowest) / steps) / _PER_DB
-
-    return level
+    return lambda step: (
+        -math.inf
+        if silent and step <= lowest
+        else (first + rise * (step - lowest) / steps) / _PER_DB
+    )
 
 
 def _linear(first: int, last: int, lowest: int, highest: int) -> Level:

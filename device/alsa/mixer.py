@@ -130,8 +130,7 @@ class CardMixer:
         channel level in dB, read back from the card. UsageError: wanted_db is NaN, the levels are
         unknown, or the lowest exceeds limit_db or 0 dB. NotFoundError: the card refuses the level.
         """
-        decibels = volume.decibels
-        if decibels is None:
+        if (decibels := volume.decibels) is None:
             raise UsageError(
                 f"the driver of sound card {self._card} does not say what the steps of "
                 f"{volume.name!r} are in dB; set it by ear, with alsamixer"

@@ -200,12 +200,11 @@ def choose_setup(
             if rate not in rates or not MIN_HZ <= rate <= MAX_HZ:
                 continue
             for one in formats:
-                bits = min(offer.bits or one.bits, one.bits)
                 rank = (
                     *_rate_rank(rate, samplerate),
                     int(offer.channels < wished),
                     offer.channels if offer.channels >= wished else -offer.channels,
-                    -bits,
+                    -min(offer.bits or one.bits, one.bits),
                     PREFERRED.index(one),
                 )
                 found.append((rank, CardSetup(one, rate, offer.channels)))

@@ -67,8 +67,7 @@ class RateLoop:
 
     def restart(self) -> None:
         """Restart after a jump of the delay, and keep the learned drift."""
-        self.z1 = self.z2 = 0.0
-        self._age_s = self._on_target_s = 0.0
+        self.z1 = self.z2 = self._age_s = self._on_target_s = 0.0
         self.locked = False
         self.ratio = 1.0 + self.z3
 
@@ -143,8 +142,7 @@ class TargetDelay:
 
     def set_goal(self, lateness_s: float, offset_s: float) -> bool:
         """Set the final target; return whether the offset changed. A new offset acts at once."""
-        new_offset = offset_s != self.offset_s
-        if new_offset:
+        if new_offset := offset_s != self.offset_s:
             self.current_s += offset_s - self.offset_s
             self.offset_s = offset_s
         self.wanted_s = self._clamp(self._least_s + lateness_s + offset_s)

@@ -127,8 +127,7 @@ class Joint:
         """Fade a block, (frames, channels), in place, and remember its last two frames."""
         if not len(out):
             return
-        under_way = min(len(out), len(self._tail) - self._done)
-        if under_way:
+        if under_way := min(len(out), len(self._tail) - self._done):
             now = slice(self._done, self._done + under_way)
             mixed = np.multiply(out[:under_way], self._rising[now], out=self._scratch[:under_way])
             out[:under_way] = np.add(mixed, self._tail[now], out=mixed)
@@ -217,8 +216,7 @@ class DelayLine:
         """
         check_channels(frames, self.channels)
         if len(frames):
-            end = self._ring.store(frames)
-            self._writes.add(len(frames), end, float(now_s), earlier)
+            self._writes.add(len(frames), self._ring.store(frames), float(now_s), earlier)
 
     @property
     def readable(self) -> int:
@@ -300,8 +298,7 @@ class DelayLine:
             self._resyncs += not by_user
             self._stop(DelayState.FILLING)
         elif known:
-            ratio = self._loop.update(error, seconds)
-            self._step = self._nominal_step * (ratio - slew)
+            self._step = self._nominal_step * (self._loop.update(error, seconds) - slew)
             self._state = DelayState.LOCKED if self._loop.locked else DelayState.SETTLING
 
     def _start(self, written: Written, captured: float, frames: int) -> None:

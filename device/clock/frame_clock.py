@@ -97,8 +97,7 @@ class FrameClock:
         counted_s = (frames - self._frames) * self._nominal_s
         later_s = now_s - self._time_s - counted_s
         late_s = later_s - self._offset_s - self._deviation * counted_s
-        early_s = self._fallen_s - late_s
-        if frames < reading.frames or late_s > STALLED_S or early_s > EARLY_S:
+        if frames < reading.frames or late_s > STALLED_S or self._fallen_s - late_s > EARLY_S:
             return self._begin(now_s, frames)
         seconds = (frames - reading.frames) * self._nominal_s
         outlier = late_s > self._usual_s + _OUTLIER * self._spread_s
@@ -157,8 +156,7 @@ class FrameClock:
         while points[0][0] < counted_s - WINDOW_S:
             points.popleft()
         first_s, last_s = points[0][0], points[-1][0]
-        slope = _middle_slope(points)
-        if slope is not None:
+        if (slope := _middle_slope(points)) is not None:
             at = [later_s - slope * point_s for point_s, later_s in points]
             noise_s = sum(at) / len(at) - min(at) + _LEAST_NOISE_S
             drift_s = self._drift * (last_s - first_s)
@@ -176,9 +174,8 @@ class FrameClock:
         time_s = self._time_s + self._offset_s + (frames - self._frames) * period_s
         if self.reading is not None and not another_line:
             self._stepped_s += time_s - self.reading.time_of(frames)
-        astray = self._astray_s != 0.0
-        stepped_s = self._stepped_s
-        self.reading = ClockReading(time_s, frames, 1.0 / period_s, settled, astray, stepped_s)
+        known = settled, self._astray_s != 0.0, self._stepped_s
+        self.reading = ClockReading(time_s, frames, 1.0 / period_s, *known)
         return self.reading
 
 

@@ -140,8 +140,7 @@ class Lateness:
             self.known = True
             from_latest = list(accumulate(reversed(self._counts)))
             beyond = bisect.bisect_right(from_latest, SHARE * from_latest[-1])
-            upper_edge_s = (len(self._counts) - beyond) * _BIN_S
-            late_s = min(self._limit_s, max(LEAST_S, upper_edge_s))
+            late_s = min(self._limit_s, max(LEAST_S, (len(self._counts) - beyond) * _BIN_S))
             if late_s > self.estimate_s + _RISE_S or late_s < self.estimate_s - _FALL_S:
                 self.estimate_s = late_s
 

@@ -121,8 +121,7 @@ def check_wiring(wiring: Sequence[Sequence[int | str]]) -> dict[int, tuple[str, 
         if not channels:
             found[actuator] = "has no channel", "one or more"
         for channel in channels:
-            other = taken.setdefault(channel, actuator)
-            if other != actuator:
+            if (other := taken.setdefault(channel, actuator)) != actuator:
                 found[actuator] = (
                     f"wants channel {channel}, which drives actuator {other}",
                     "every channel for one actuator",

@@ -259,8 +259,7 @@ def choose_damping(
     if candidates[0].affordable:
         others = _other_rigs(p, source_impedance_ohm)
         chosen = next(one for one in candidates if _never_worse(p, one.damping, others))
-        candidates.remove(chosen)
-        candidates.insert(0, chosen)
+        candidates.sort(key=lambda one: one is not chosen)
     return candidates
 
 

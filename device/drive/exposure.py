@@ -199,8 +199,7 @@ def worst_second(rig: Rig, samplerate: int) -> DoseSums:
         response = np.convolve(response, motion_fir)[: len(response)]
     response = scipy.signal.sosfilt(wk_sections(rate), response)
     largest = float(np.abs(np.fft.rfft(response)).max())
-    peak = float(np.abs(response).sum())
-    return DoseSums(1.0, largest**2, (largest * peak) ** 2)
+    return DoseSums(1.0, largest**2, (largest * float(np.abs(response).sum())) ** 2)
 
 
 def decimation_taps(factor: int) -> FloatArray:

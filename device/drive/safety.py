@@ -40,8 +40,7 @@ class SafetyBounds:
         if thermal is None or limit_c is None:
             return SafetyState()
         share = thermal.magnet_k_per_w / (thermal.coil_k_per_w + thermal.magnet_k_per_w)
-        magnet_c = thermal.ambient_c + share * (limit_c - thermal.ambient_c)
-        return SafetyState(limit_c, magnet_c)
+        return SafetyState(limit_c, thermal.ambient_c + share * (limit_c - thermal.ambient_c))
 
     def after_unrecorded(self, state: SafetyState, seconds: float) -> SafetyState:
         """Return the worst possible state after `seconds` of any vibration with protection."""
@@ -66,8 +65,7 @@ class SafetyBounds:
         warm.magnet_k = max(0.0, known.magnet_c - ambient_c)
         count = max(1, math.ceil(min(seconds, 60.0) / _STEP_S)) if most_w else 1
         for _ in range(count if seconds else 0):
-            power_w = min(most_w, power_to_limit_w(warm, limit_c - ambient_c))
-            warm.heat(power_w, seconds / count)
+            warm.heat(min(most_w, power_to_limit_w(warm, limit_c - ambient_c)), seconds / count)
         # A finite time step may exceed the temperature limit slightly.
         coil_c = min(ambient_c + warm.coil_k, max(limit_c, known.coil_c))
         return replace(state, coil_c=coil_c, magnet_c=ambient_c + warm.magnet_k)
@@ -81,5 +79,4 @@ def power_to_limit_w(warm: Temperatures, limit_k: float) -> float:
     """
     thermal = warm.parameters
     onward_w = (warm.coil_k - warm.magnet_k) / thermal.coil_k_per_w
-    left_j = thermal.coil_j_per_k * (limit_k - warm.coil_k)
-    return max(0.0, onward_w + left_j / APPROACH_S)
+    return max(0.0, onward_w + thermal.coil_j_per_k * (limit_k - warm.coil_k) / APPROACH_S)

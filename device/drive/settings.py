@@ -37,13 +37,10 @@ class _DeviceChannels(Description):
             return Refusal("is not a list", self.allowed)
         if not value:
             return Refusal("is an empty list", self.allowed)
-        for channel in value:
-            if isinstance(channel, str):
-                good = bool(channel) and channel == channel.strip()
-            else:
-                good = type(channel) is int and 0 <= channel < CHANNELS_MAX
-            if not good:
-                return Refusal("is not a list of channels", self.allowed)
+        numbers = [one for one in value if not isinstance(one, str)]
+        named = all(one and one == one.strip() for one in value if isinstance(one, str))
+        if not named or not all(type(one) is int and 0 <= one < CHANNELS_MAX for one in numbers):
+            return Refusal("is not a list of channels", self.allowed)
         if len(set(value)) < len(value):
             return Refusal("names a channel twice", "each channel once")
         return None

@@ -181,8 +181,7 @@ def _add_by_coil(
         values = mechanics.solve_mechanics(found.driven, driving)
     except IdentificationError as error:
         return replace(found, why_not=str(error))
-    assumed = [name for name in COIL if f"actuator.{name}" in rig.assumed()]
-    if not assumed:
+    if not (assumed := [name for name in COIL if f"actuator.{name}" in rig.assumed()]):
         return replace(
             found, rig=mechanics.add_values(rig, values, _describe(found)), values=values
         )

@@ -179,8 +179,7 @@ def _starts(recording: Recording, law: CoilLaw, near: FloatArray | None) -> list
         volts = np.column_stack(columns) * current[:, None]
         both = np.concatenate([volts.real, volts.imag])
         scale = np.linalg.norm(both, axis=0)
-        aim = np.concatenate([drive.real, drive.imag])
-        solved = np.linalg.lstsq(both / scale, aim)[0] / scale
+        solved = np.linalg.lstsq(both / scale, np.concatenate([drive.real, drive.imag]))[0] / scale
         re = max(solved[0], 1e-3)
         rise = max(solved[1], 1e-3 * re)
         amplitudes = np.maximum(solved[2:], 1e-6 * re)

@@ -271,8 +271,7 @@ def fit_with_extras(
 
 def require(name: str, estimate: Estimate, relative: float, advice: str) -> None:
     """Raise IdentificationError if an estimate's interval is wider than ±`relative`."""
-    width = estimate.relative
-    if not width <= relative:
+    if not (width := estimate.relative) <= relative:
         raise IdentificationError(
             f"{name} is not identified: its interval of 95 % is ±{100 * width:.3g} %, at most "
             f"±{100 * relative:.3g} % is allowed; {advice}"

@@ -122,8 +122,7 @@ def high_pass(known_hz: float) -> Factor:
 
 def _butterworth(f: FloatArray, log_hz: float) -> Response:
     d, dd = pair(f, log_hz, -0.5 * math.log(2.0))
-    r2 = -((f / math.exp(log_hz)) ** 2)
-    return r2 / d, (-2.0 - dd[:, 0] / d)[:, None]
+    return -((f / math.exp(log_hz)) ** 2) / d, (-2.0 - dd[:, 0] / d)[:, None]
 
 
 def load(admittance_s: ComplexArray) -> Factor:
@@ -253,5 +252,4 @@ def admittance(f: FloatArray, p: FloatArray, law: CoilLaw) -> Response:
     coil, d_coil = law.impedance(f, p[4:rest])
     resistance = np.full_like(d, math.exp(p[0]))
     z = resistance + coil + motional
-    slopes = np.column_stack([resistance, *moves, *d_coil, *held])
-    return 1.0 / z, -slopes / (z**2)[:, None]
+    return 1.0 / z, -np.column_stack([resistance, *moves, *d_coil, *held]) / (z**2)[:, None]

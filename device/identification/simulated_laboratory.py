@@ -78,8 +78,7 @@ class SimulatedLaboratory:
         recordings = []
         for reference, response in pairs:
             ends = limits[reference], limits[response]
-            names = reference, response
-            found = Recording(sweep, read[reference], read[response], names, ends)
+            found = Recording(sweep, read[reference], read[response], (reference, response), ends)
             if response == "acceleration":
                 found = replace(found, correction=chain.band.response(found.frequencies_hz))
             if reference == PLAYED:

@@ -170,8 +170,7 @@ def check_recording(recording: Recording) -> None:
                 "silence before it; check power, cables and that channel, or raise the level"
             )
     found = estimate_transfer(replace(recording, correction=None))
-    coherent = float(np.median(found.coherence))
-    if coherent < 0.3:
+    if (coherent := float(np.median(found.coherence))) < 0.3:
         raise IdentificationError(
             f"{recording.names[1]} does not follow the sweep: its coherence is {coherent:.2f}, it "
             "must be 0.3 or more; this is another channel, or noise: check the inputs"

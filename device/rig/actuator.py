@@ -161,8 +161,7 @@ def motion_filters(
     # First the real pole, then the pair, which is complex or overdamped. A single third-order
     # section with all poles close to 1 would lose precision.
     rates = np.linalg.eigvals(rate)
-    order = np.lexsort((rates.real, np.abs(rates.imag)))
-    single, *pair = np.exp(rates[order] / samplerate)
+    single, *pair = np.exp(rates[np.lexsort((rates.real, np.abs(rates.imag)))] / samplerate)
     poles = np.array([_section(single, 0j), _section(*pair)])
 
     # The first states of the impulse response, which poles and taps together reproduce.

@@ -115,10 +115,8 @@ class AdaptiveActuator:
 
     def move(self, volts: FloatArray, outputs: Sequence[str] = QUANTITIES) -> Motion:
         """Return the motion, always finite, for the amplifier's open-circuit volts, (frames,)."""
-        finite = np.ascontiguousarray(volts, dtype=np.float64)
-        if not blocks.peak(finite) <= _ABSURD_V:  # also true for NaN
-            finite, replaced = finite_or_zero(finite, _ABSURD_V)
-            self.replaced_samples += replaced
+        finite, replaced = finite_or_zero(np.ascontiguousarray(volts, dtype=np.float64), _ABSURD_V)
+        self.replaced_samples += replaced
         whole, block = len(finite), self.block_frames
         moved = np.empty((self._rows, whole))
         first = min(block - self._frames % block, whole)
@@ -152,8 +150,7 @@ class ModelDesign:
         self.coarse = max(1, round(samplerate / _COARSE_HZ))
         longest_s = min(LONGEST_STEP_S, _TURN / _fastest_rad_s(e))
         first = max(0, math.ceil(math.log2(period_s / longest_s) - 1e-9)) + refine
-        last = math.ceil(math.log2(period_s / _SHORTEST_STEP_S)) + refine
-        levels = 1 + max(first, last)
+        levels = 1 + max(first, math.ceil(math.log2(period_s / _SHORTEST_STEP_S)) + refine)
         table, stops = table_of(e.energies, p.x_max_m), e.energies.stops
         least_m = FLOOR * p.x_max_m
         frame = astuple(seat) if seat else (0, 0, 0)

@@ -48,8 +48,7 @@ class Hardening:
         square = x * x
         risen = self.rise * square
         first = (self.stiffness + risen) * x
-        value = (0.5 * self.stiffness + 0.25 * risen) * square
-        return value, first, self.stiffness + 3.0 * risen
+        return (0.5 * self.stiffness + 0.25 * risen) * square, first, self.stiffness + 3.0 * risen
 
 
 @dataclass(frozen=True)
@@ -120,8 +119,7 @@ def energies(p: ActuatorParameters, large: LargeSignalParameters | None) -> Ener
     if large is None:
         constant, spring = Tanh(p.inductance_h, 0.0, p.x_max_m), Hardening(k, 0.0)
         return Energies(magnet, constant, spring, Stops(math.inf, 0.0), 0.0)
-    loss = large.force_factor_loss
-    if loss > 0.0:
+    if (loss := large.force_factor_loss) > 0.0:
         magnet = Arctangent(p.force_factor_n_per_a, p.x_max_m * math.sqrt((1.0 - loss) / loss))
     inductance = Tanh(p.inductance_h, large.inductance_change, p.x_max_m)
     spring = Hardening(k, k * large.stiffness_rise / p.x_max_m**2)

@@ -34,10 +34,6 @@ def _whole(lowest: int, highest: int) -> Limit:
     )
 
 
-def _one_of(*words: str) -> Limit:
-    return Limit(lambda value: value in words, " or ".join(repr(word) for word in words))
-
-
 Positive = Annotated[float, Limit(lambda x: math.isfinite(x) and x > 0, "above 0")]
 NotNegative = Annotated[float, Limit(lambda x: math.isfinite(x) and x >= 0, "0 or more")]
 NotPositive = Annotated[float, Limit(lambda x: math.isfinite(x) and x <= 0, "0 or less")]
@@ -46,6 +42,7 @@ Share = Annotated[float, Limit(lambda value: 0 <= value < 1, "from 0 to below 1"
 Celsius = Annotated[float, Limit(lambda t: -50 <= t <= 150, "from -50 to 150")]
 Bits = Annotated[int, _whole(8, 32)]
 DriveMode = Literal["voltage", "current"]
+DRIVE_MODES = Limit(lambda word: word in get_args(DriveMode), "'voltage' or 'current'")
 
 Model = Literal["auto", "linear", "nonlinear"]  # the user's choice of actuator model
 MODELS: tuple[Model, ...] = get_args(Model)
@@ -97,7 +94,7 @@ class AmplifierParameters(Stage):
     gain: Positive  # open-circuit output volts per input volt
     output_limit_v: Positive  # peak volts at which it clips
     source_impedance_ohm: NotNegative  # 0: ideal voltage drive; far above R: current drive
-    drive_mode: Annotated[DriveMode, _one_of(*get_args(DriveMode))] = "voltage"
+    drive_mode: Annotated[DriveMode, DRIVE_MODES] = "voltage"
     low_cut_hz: NotNegative = 0.0  # -3 dB
     high_cut_hz: UpToInfinity = math.inf  # -3 dB
     current_limit_a: UpToInfinity = math.inf  # peak
@@ -139,8 +136,7 @@ class ActuatorParameters(Stage):
 
     def coil_ohm(self, s: complex) -> complex:
         """Return the coil's impedance without motion, R + s L + (s L2 parallel to R2)."""
-        eddy = s * self.inductance_eddy_h
-        if eddy:
+        if eddy := s * self.inductance_eddy_h:
             eddy *= self.resistance_eddy_ohm / (self.resistance_eddy_ohm + eddy)
         return self.resistance_ohm + s * self.inductance_h + eddy
 

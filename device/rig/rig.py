@@ -76,10 +76,8 @@ class Rig:
 
 def find_contradictions(stages: dict[str, Any]) -> list[str]:
     """Return the contradictions between the stages' values; missing stages are ignored."""
-    dac, amplifier, actuator, large = map(
-        stages.get, ("dac", "amplifier", "actuator", "large_signal")
-    )
-    accelerometer, conditioning, daq = map(stages.get, ("accelerometer", "conditioning", "daq"))
+    names = ("dac", "amplifier", "actuator", "large_signal", "accelerometer", "conditioning", "daq")
+    dac, amplifier, actuator, large, accelerometer, conditioning, daq = map(stages.get, names)
     wrong = []
     if actuator and large and large.stop_m <= actuator.x_max_m:
         wrong.append(

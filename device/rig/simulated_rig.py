@@ -97,8 +97,7 @@ class SimulatedRig:
         if self._closed:
             raise InternalError("the simulated rig is closed: nothing can be written to it")
         check_channels(vibration, self.channels)
-        grid = self._grid_frames
-        if not grid:
+        if not (grid := self._grid_frames):
             self.acceleration_m_s2 = self._move(vibration)
             return
         known: FloatArray = np.concatenate((self._waiting, vibration))

@@ -1,6 +1,7 @@
 """Coil and magnet as two thermal masses, and the coil's resistance at its temperature."""
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
@@ -22,7 +23,7 @@ class Temperatures:
         self._rate = np.zeros((3, 3))
         self._rate[0] = np.array([-into_magnet, into_magnet, 1.0]) / p.coil_j_per_k
         self._rate[1, :2] = np.array([into_magnet, -(into_magnet + out)]) / p.magnet_j_per_k
-        self._steps: dict[float, list[float]] = {}
+        self.step = lru_cache(maxsize=64)(self._step)
         self.coil_k = self.magnet_k = 0.0
 
     def heat(self, power_w: float, duration_s: float) -> None:
@@ -38,13 +39,9 @@ class Temperatures:
         ambient = 1.0 + COPPER_PER_K * (self.parameters.ambient_c - 20.0)
         return resistance_ohm * (1.0 + COPPER_PER_K * self.coil_k / ambient)
 
-    def step(self, duration_s: float) -> list[float]:
+    def _step(self, duration_s: float) -> list[float]:
         """Return the matrix from (coil_k, magnet_k, power_w) to (coil_k, magnet_k), row by row."""
-        if duration_s not in self._steps:
-            if len(self._steps) > 64:  # limits the memory for varying block lengths
-                self._steps.clear()
-            self._steps[duration_s] = _exponential(self._rate * duration_s)[:2].ravel().tolist()
-        return self._steps[duration_s]
+        return list(_exponential(self._rate * duration_s)[:2].ravel().tolist())
 
 
 def _exponential(matrix: FloatArray) -> FloatArray:

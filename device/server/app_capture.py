@@ -147,8 +147,7 @@ class AppCapture(CallbackCounts):
         self._failed = True
 
     def _is_ready(self, library: libpulse.LibPulse) -> bool:
-        state = library.stream_get_state(self._handle)
-        if state < libpulse.STREAM_READY:
+        if (state := library.stream_get_state(self._handle)) < libpulse.STREAM_READY:
             return False
         self._pending, self._failed = False, True
         if state == libpulse.STREAM_READY:

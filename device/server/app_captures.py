@@ -85,8 +85,7 @@ class AppCaptures(ConnectionThread):
         )
         self._captures.append(capture)  # from now on `_take_event` detects the end of the stream
         try:
-            playing = self._find_playing(index)
-            if playing is None:
+            if (playing := self._find_playing(index)) is None:
                 raise gone
             for _ in range(ATTEMPTS):
                 self._drop_stream(capture)
@@ -192,8 +191,7 @@ class AppCaptures(ConnectionThread):
         while not condition():
             if self._stopping:
                 raise LostError("the connection to the sound server is closed")
-            left_s = deadline_s - time.monotonic()
-            if left_s <= 0.0:
+            if (left_s := deadline_s - time.monotonic()) <= 0.0:
                 return False
             self._step(left_s, for_requests=False)
         return True

@@ -46,8 +46,7 @@ class DefaultsCheck:
             return
         if self._changed_s is None:
             self._changed_s = now_s
-        settled_s = min(now_s + AFTER_S, self._changed_s + AT_MOST_S)
-        self.due_s = max(settled_s, self._not_before_s)
+        self.due_s = max(min(now_s + AFTER_S, self._changed_s + AT_MOST_S), self._not_before_s)
 
     def check_if_due(self, now_s: float, snapshot: ServerSnapshot) -> None:
         """Start a check on another thread if a check is due."""
@@ -65,8 +64,7 @@ class DefaultsCheck:
         known: the connection's defaults. This blocks for a few seconds at most.
         """
         for _ in range(5):
-            first = fetch_defaults()
-            if first == known:
+            if (first := fetch_defaults()) == known:
                 self._renew_again_s = RENEW_AGAIN_S
                 return
             time.sleep(AGAIN_S)

@@ -162,8 +162,7 @@ class DropIn(Listener):
             self._circular.add(target)
             self._refusal = f"the sink {target!r} plays to {SINK!r} itself; choose another one"
             return False
-        contested = self._default.contested
-        if not contested:
+        if not (contested := self._default.contested):
             self._streams.collect(snapshot, target, now_s)
         self.reason = _CONTESTED if contested else self._refusal
         return (contested or self._default.settled) and self._streams.all_here
@@ -234,8 +233,7 @@ class DropIn(Listener):
             snapshot = self._await(is_unused, TAKES_S)
         for one in loopbacks(snapshot):
             self._unload(one.module)
-        sink = snapshot.sink(SINK)
-        if sink is not None and sink.module is not None:
+        if (sink := snapshot.sink(SINK)) is not None and sink.module is not None:
             self._unload(sink.module)
 
     def _unload(self, module: int) -> None:

@@ -205,8 +205,7 @@ class Graph:
 
     def _put(self, table: dict[int, Any], new: Node | Port | Link) -> None:
         """Store an object; it replaces any object with the same id, even of another kind."""
-        before = table.get(new.id)
-        if before is None:
+        if (before := table.get(new.id)) is None:
             self._forget(new.id)
         self._changes += before is None or _wiring(before) != _wiring(new)
         self._drop(new.id)
@@ -243,9 +242,7 @@ class Graph:
 
 def _wiring(one: Node | Port | Link) -> object:
     """Return the part of an object whose change `apply` reports; a new state is no change."""
-    if isinstance(one, Node):
-        return one.properties
-    return one.pair if isinstance(one, Link) else one
+    return one.properties if isinstance(one, Node) else one.pair if isinstance(one, Link) else one
 
 
 def _latency(parameters: Any) -> PortLatency:

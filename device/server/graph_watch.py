@@ -82,8 +82,7 @@ class GraphWatch:
                 if new or found:
                     changed = True
                     with self.lock:
-                        wired = [self.graph.announce(new), *map(self.graph.apply, found)]
-                        if any(wired):
+                        if any([self.graph.announce(new), *map(self.graph.apply, found)]):
                             self.keeper.update(now_s)
                 if changed and now_s - reported_s >= GATHER_S:
                     reported_s, changed = now_s, False

@@ -38,8 +38,7 @@ def default_monitor(snapshot: ServerSnapshot, haptic_sink: str | None = None) ->
 
     NotFoundError: there is no default sink, it has no monitor, or it plays the vibration.
     """
-    name = snapshot.default_sink
-    if not name:
+    if not (name := snapshot.default_sink):
         raise NotFoundError(
             "the sound server has no default sink; choose one in the sound settings or with "
             "`pactl set-default-sink NAME`, or name the sink to tap"
@@ -83,14 +82,13 @@ class DeviceIdentity:
     """The properties that identify a sink's device; "" if unknown.
 
     vendor_id, product_id: four hexadecimal digits each. serial: udev's VENDOR_MODEL_SERIAL.
-    bus_path: the physical port. alsa_card: the card's number in ALSA, which may change.
+    alsa_card: the card's number in ALSA, which may change.
     """
 
     bus: str
     vendor_id: str
     product_id: str
     serial: str
-    bus_path: str
     alsa_card: str
 
     def is_usb(self, vendor_id: str, product_id: str) -> bool:
@@ -107,7 +105,6 @@ def identity_of(sink: Sink) -> DeviceIdentity:
         vendor_id=_usb_id(known.get("device.vendor.id", "")),
         product_id=_usb_id(known.get("device.product.id", "")),
         serial=known.get("device.serial", ""),
-        bus_path=known.get("device.bus_path", ""),
         alsa_card=known.get("alsa.card", known.get("api.alsa.pcm.card", "")),
     )
 

@@ -14,14 +14,8 @@ REASONS = (CALL, MIXED, ALERT, IN_CONFIG)
 FILM_LATENCY_S = 0.020  # browsers request 10 to 19 ms for a call, and 21 to 75 ms for a film
 
 # Values of media.role. PulseAudio writes "phone" and "event"; PipeWire writes capitals.
-_ROLES = {
-    "communication": CALL,
-    "phone": CALL,
-    "notification": ALERT,
-    "event": ALERT,
-    "accessibility": ALERT,
-    "a11y": ALERT,
-}
+_ROLES = dict.fromkeys(("communication", "phone"), CALL)
+_ROLES |= dict.fromkeys(("notification", "event", "accessibility", "a11y"), ALERT)
 # Names or binaries of voice programs, as patterns of a shell in lower case.
 _VOICE_PROGRAMS = (
     "discord*", "webrtc voiceengine", "vesktop", "mumble*", "teamspeak*", "ts3client*",
@@ -44,8 +38,7 @@ class LeftOut:
 
         microphones: all streams that record from microphones.
         """
-        feel = first_match(self.rules, stream)
-        if feel is False:
+        if (feel := first_match(self.rules, stream)) is False:
             return IN_CONFIG
         if feel or self.calls_and_alerts:
             return ""

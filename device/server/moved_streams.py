@@ -126,8 +126,7 @@ class DefaultSinkClaim:
 
         fit: names of possible targets; such a sink is returned only after it persisted as default.
         """
-        default = snapshot.default_sink
-        if default == SINK:
+        if (default := snapshot.default_sink) == SINK:
             self.settled, self.contested = True, False
         elif snapshot.sink(SINK) is None:
             self.settled = False  # the virtual sink is gone, and the server chose another default

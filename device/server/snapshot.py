@@ -158,18 +158,13 @@ def take_snapshot(pulse: Any, events: int, known: ServerSnapshot | None = None) 
     info = pulse.server_info()
     kind, version = _kind(info.server_name or "", info.server_version or "")
     defaults = default_name(info.default_sink_name), default_name(info.default_source_name)
-    if known is not None and (known.default_sink, known.default_source) == defaults:
-        sinks, sources = known.sinks, known.sources
-    else:
-        sinks = tuple(_sink(sink, kind) for sink in pulse.sink_list())
-        names = {sink.index: sink.name for sink in sinks}
-        sources = tuple(
-            Source(monitor_of=names.get(one.monitor_of_sink), volume=_loudest(one), **_device(one))
-            for one in pulse.source_list()
-        )
-    sink_names = {sink.index: sink.name for sink in sinks}
+    if known is not None and (known.default_sink, known.default_source) != defaults:
+        known = None
+    sinks = known.sinks if known else tuple(_sink(one, kind) for one in pulse.sink_list())
+    names = {sink.index: sink.name for sink in sinks}
+    sources = known.sources if known else tuple(_source(one, names) for one in pulse.source_list())
     source_names = {source.index: source.name for source in sources}
-    playing = tuple(_stream(item, item.sink, sink_names) for item in sink_inputs)
+    playing = tuple(_stream(item, item.sink, names) for item in sink_inputs)
     recording = tuple(_stream(item, item.source, source_names) for item in source_outputs)
     return ServerSnapshot(kind, version, *defaults, sinks, sources, playing, recording, events)
 
@@ -187,15 +182,19 @@ def default_name(name: str | None) -> str:
 
 def _sink(item: Any, kind: str) -> Sink:
     by_property = item.proplist.get("monitor.channel-volumes") == "true"
-    in_software = not item.flags & HARDWARE_VOLUME
     return Sink(
         monitor=item.monitor_source_name or "",
         module=_known(item.owner_module),
         volume_db=decibels(_loudest(item)),
-        volume_in_monitor=by_property if kind == "PipeWire" else in_software,
+        volume_in_monitor=by_property if kind == "PipeWire" else not item.flags & HARDWARE_VOLUME,
         flat_volumes=bool(item.flags & FLAT_VOLUMES),
         **_device(item),
     )
+
+
+def _source(item: Any, names: Mapping[int, str]) -> Source:
+    monitor_of = names.get(item.monitor_of_sink)
+    return Source(monitor_of=monitor_of, volume=_loudest(item), **_device(item))
 
 
 def _device(item: Any) -> dict[str, Any]:

@@ -39,8 +39,7 @@ class TapVolume:
             if loudest.volume_db > stream.volume_db + APART_DB:
                 stream = loudest
             self._stream_db = stream.volume_db
-            sink = snapshot.sink(stream.device_name)
-            if sink is not None and sink.flat_volumes:
+            if (sink := snapshot.sink(stream.device_name)) is not None and sink.flat_volumes:
                 self._stream_db -= sink.volume_db
         return self._stream_db + (monitor_volume_db(snapshot, monitor) if monitor else 0.0)
 

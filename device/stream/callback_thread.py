@@ -103,8 +103,7 @@ def priority_advice() -> str:
 def _real_time() -> bool:
     """Give the calling thread real-time priority; return whether that was permitted."""
     policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
-    allowed = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
-    for priority in (PRIORITY, min(PRIORITY, allowed)):
+    for priority in (PRIORITY, min(PRIORITY, resource.getrlimit(resource.RLIMIT_RTPRIO)[0])):
         with suppress(OSError, ValueError):
             os.sched_setscheduler(0, policy, os.sched_param(priority))
             return True
@@ -163,6 +162,6 @@ class GilState:
         return self._released.wait(RELEASE_LIMIT_S)
 
 
-def cpu_time_s() -> float:
-    """Return the CPU time of the calling thread in seconds; only differences are meaningful."""
-    return time.thread_time()
+cpu_time_s = (
+    time.thread_time
+)  # CPU time of the calling thread in s; only differences are meaningful

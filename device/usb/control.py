@@ -31,8 +31,7 @@ def libusb() -> Any:
         from usb.backend import libusb1
     except ImportError:
         raise NoLibusbError(not_installed("PyUSB", "live")) from None
-    backend = libusb1.get_backend()
-    if backend is None:
+    if (backend := libusb1.get_backend()) is None:
         raise NoLibusbError(
             "no libusb: PyUSB is here, but not the library libusb-1.0; install it: "
             "sudo apt install libusb-1.0-0, or sudo dnf install libusb1"
@@ -79,8 +78,7 @@ def read_descriptors(device: UsbAudioDevice) -> bytes:
     try:
         blocks = [bytes(get_descriptor(handle, LEAST_BYTES[DEVICE], DEVICE, 0))]
         for index in range(handle.bNumConfigurations):
-            least = LEAST_BYTES[CONFIGURATION]
-            head = bytes(get_descriptor(handle, least, CONFIGURATION, index))
+            head = bytes(get_descriptor(handle, LEAST_BYTES[CONFIGURATION], CONFIGURATION, index))
             length = int.from_bytes(head[2:4], "little")  # wTotalLength
             blocks.append(bytes(get_descriptor(handle, length, CONFIGURATION, index)))
     except usb.core.USBError as error:

@@ -55,8 +55,7 @@ class UsbIdentity:
     @classmethod
     def parse(cls, text: str) -> "UsbIdentity":
         """Return the identity in a text, with or without "usb:". UsageError: wrong form."""
-        parts = _NAME.fullmatch(text.removeprefix("usb:"))
-        if parts is None:
+        if (parts := _NAME.fullmatch(text.removeprefix("usb:"))) is None:
             raise UsageError(
                 f"device {text!r} is not {GRAMMAR} with four hexadecimal digits each for VID and "
                 "PID, and a port such as 1-2 or 1-2.3"

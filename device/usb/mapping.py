@@ -46,8 +46,7 @@ def device_of_card(card: int | str, devices: Iterable[UsbAudioDevice]) -> UsbAud
 def device_of_sink(sink: Sink, devices: Iterable[UsbAudioDevice]) -> UsbAudioDevice | None:
     """Return the device on which a sink plays; None if the device is unknown or ambiguous."""
     known = tuple(devices)
-    place = sink.properties.get("sysfs.path", "")
-    if place:
+    if place := sink.properties.get("sysfs.path", ""):
         folder = f"{place.removeprefix('/sys')}/"
         above = [device for device in known if folder.startswith(f"{device.path}/")]
         return max(above, key=lambda device: len(device.path), default=None)
@@ -90,8 +89,7 @@ def _agrees(sink: Sink, device: UsbAudioDevice) -> bool:
     ids = (known.vendor_id, known.product_id)
     if known.vendor_id and ids != (device.vendor_id, device.product_id):
         return False
-    chain = _chain_of(sink)
-    if chain and chain != device.port.partition("-")[2]:
+    if (chain := _chain_of(sink)) and chain != device.port.partition("-")[2]:
         return False
     return (
         not known.serial or not udev_serial(device) or is_server_serial(known.serial, device.serial)

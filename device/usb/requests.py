@@ -60,8 +60,7 @@ class VolumeRange:
         UsageError: wanted_db is NaN, or lowest_db is above limit_db or 0 dB.
         """
         most_db = limit_volume_db(wanted_db, self.lowest_db, "the device", limit_db)
-        highest_db = min(most_db, self.highest_db)
-        steps = math.floor((highest_db - self.lowest_db) / self.step_db + 1e-9)
+        steps = math.floor((min(most_db, self.highest_db) - self.lowest_db) / self.step_db + 1e-9)
         return self.lowest_db + max(0, steps) * self.step_db
 
 

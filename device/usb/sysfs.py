@@ -134,8 +134,7 @@ def _names_in(folder: Path) -> frozenset[str]:
 def _why_none_plays(devices: tuple[UsbAudioDevice, ...]) -> NoUsbDeviceError | None:
     if any(device.plays for device in devices):
         return None
-    others = [f"{device.label!r} in port {device.port}" for device in devices]
-    if others:
+    if others := [f"{device.label!r} in port {device.port}" for device in devices]:
         return NoUsbDeviceError(
             f"no USB device plays sound: {', '.join(others)} is only for MIDI or recording; plug "
             "in the DAC"
@@ -151,8 +150,7 @@ def _device(
 ) -> UsbAudioDevice | None:
     """Read one device; return None if it has no audio interface or is being unplugged."""
     folder = root / "sys/bus/usb/devices" / port
-    audio = tuple(filter(None, map(_interface, interfaces)))
-    if not audio:
+    if not (audio := tuple(filter(None, map(_interface, interfaces)))):
         return None
     try:
         before = (folder / "devnum").read_bytes()

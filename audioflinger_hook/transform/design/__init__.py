@@ -30,9 +30,8 @@ BAND_MARGIN_HZ = 1_000.0
 """Range analysed above the band, to measure the half-power widths of peaks at the band's end."""
 
 STRAIGHT_LINES = 10 ** (-0.17 / 20)
-"""Factor on r that gives a tone the same level in live form and reference form, within 0.1 dB.
-
-The reference form interpolates linearly between bins. This makes bandwidths 0.07 to 0.27 dB smaller
+"""Factor on r that gives a tone the same level in live form and reference form, within 0.1 dB. The
+reference form interpolates linearly between bins. This makes bandwidths 0.07 to 0.27 dB smaller
 than in the live form."""
 
 LATENCY_AT_HZ = 60.0  # reported latencies are for this vibration frequency
@@ -141,8 +140,7 @@ def _taken(values: Records, name: str, kind: type) -> Any:
 def _designed(parameters: TransformParameters, samplerate: int, find_onsets: bool) -> LiveDesign:
     grid = LiveGrid.at(parameters, samplerate)
     spectrum = Spectrum.of(parameters, samplerate)
-    top_bin = int((parameters.band_high_hz + BAND_MARGIN_HZ) / spectrum.bin_hz)
-    bins = min(spectrum.bins, top_bin)
+    bins = min(spectrum.bins, int((parameters.band_high_hz + BAND_MARGIN_HZ) / spectrum.bin_hz))
     live = replace(parameters, threshold_hz=parameters.live_threshold_hz)
     full_scale_r = parameters.unit_strength_hz(samplerate) / STRAIGHT_LINES
     mapping = VibrationMapping.of(parameters, full_scale_r)

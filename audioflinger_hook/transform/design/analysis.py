@@ -15,17 +15,15 @@ from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.principal import Spectrum, bins_in_band, peak_span_min
 
 IMAGE_REACH_WINDOWS = 75.0
-"""Images of tones are removed below this multiple of 1/T, by default 1.6 kHz.
-
-A tone's image is the component at negative frequency. The image's side lobes disturb low bins. At
-the frequency of a higher tone, these side lobes are under -70 dB relative to the tone."""
+"""Images of tones are removed below this multiple of 1/T, by default 1.6 kHz. A tone's image is the
+component at negative frequency. The image's side lobes disturb low bins. At the frequency of a
+higher tone, these side lobes are under -70 dB relative to the tone."""
 
 NEIGHBOURS = 7  # a peak's image is removed from this number of bins on each side
 TABLE_BINS_A_BIN = 32  # entries per bin in the table of the window's spectrum
 
 SIDE_LOBE, SIDE_LOBE_FOLLOWED = 10 ** (-40 / 20), 10 ** (-34 / 20)
 """Peaks up to these shares of the highest amplitude are ignored, without and with loudness control.
-
 A Hamming window has side lobes of -42.7 dB. For a low tone, the side lobes of the tone and of its
 image add up to -36.7 dB. With loudness control, C_th is lower, so side lobes could exceed it."""
 
@@ -35,9 +33,8 @@ EDGES_HZ = (200, 400, 600, 800, 1_200, 1_800, 2_600, 3_800, 5_600, 8_200, 12_000
 """Edges of the onset bands. The onset window is too short to measure oscillations below 200 Hz."""
 
 FORGOTTEN_DB_A_S = 300.0
-"""Decay rate of a band's recent maximum, dB/s.
-
-In 30 ms of silence, the recent maximum falls by 9 dB."""
+"""Decay rate of a band's recent maximum, dB/s. In 30 ms of silence, the recent maximum falls by 9
+dB."""
 
 LOWEST_HZ = 70.0  # frequency assigned to the onset window's lowest bin
 
@@ -45,9 +42,8 @@ QUIETEST, WEAKEST = 0.02, 0.5
 """Lowest amplitudes of detected and of played onsets, relative to the weakest principal tone."""
 
 WORTH, MERGED_WORTH = 0.25, 0.1
-"""Smallest excess of an onset's amplitude over existing partials, as a share of this amplitude.
-
-The second value is for merged partials, which are in phase with existing partials."""
+"""Smallest excess of an onset's amplitude over existing partials, as a share of this amplitude. The
+second value is for merged partials, which are in phase with existing partials."""
 
 
 @dataclass(frozen=True, eq=False)

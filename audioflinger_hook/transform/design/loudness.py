@@ -17,9 +17,8 @@ BANDS_HZ = (
     *(90.0, 180.0, 280.0, 355.0, 450.0, 560.0, 710.0, 900.0, 1_120.0, 1_400.0),
     *(1_800.0, 2_240.0, 2_800.0, 3_550.0, 4_500.0, 5_600.0, 7_100.0, 9_000.0, 11_200.0, 12_000.0),
 )
-"""Upper edges of the 20 bands of ISO 532-1, third-octave bands from 280 Hz up.
-
-The last band ends at 12 kHz, the default end of the band-pass, instead of 15.5 kHz."""
+"""Upper edges of the 20 bands of ISO 532-1, third-octave bands from 280 Hz up. The last band ends
+at 12 kHz, the default end of the band-pass, instead of 15.5 kHz."""
 
 BARKS = (
     *(0.9, 1.8, 2.8, 3.5, 4.4, 5.4, 6.6, 7.9, 9.2, 10.6),
@@ -28,10 +27,9 @@ BARKS = (
 """Upper edges of the bands as critical-band rates in Bark (ISO 532-1)."""
 
 QUIET_DB = np.array((30.0, 18.0, 12.0, 8.0, 7.0, 6.0, 5.0, 4.0) + 12 * (3.0,)) - 15.0
-"""Threshold in quiet of each band, 15 dB lower than in ISO 532-1.
-
-The listener's volume is unknown. With a lower threshold, a change of volume changes the loudness of
-all sounds by more similar factors."""
+"""Threshold in quiet of each band, 15 dB lower than in ISO 532-1. The listener's volume is unknown.
+With a lower threshold, a change of volume changes the loudness of all sounds by more similar
+factors."""
 
 OUTER_EAR_DB = np.array(10 * (0.0,) + (-0.5, -1.6, -3.2, -5.4, -5.6, -4.0, -1.5, 2.0, 5.0, 12.0))
 """Attenuation by the outer ear in each band."""
@@ -48,9 +46,8 @@ OVER_QUIET_DB = FULL_SCALE_DB - OUTER_EAR_DB - BANDWIDTH_DB - QUIET_DB
 """Excitation of a full-scale tone in each band, in dB above the threshold in quiet."""
 
 DEEP_HZ, DEEP_DB = (25.0, 65.0, 90.0), (7.0, -6.0, -6.0)
-"""Correction in dB of the excitation below 90 Hz, interpolated by frequency.
-
-Positive values stand for bass that the body feels."""
+"""Correction in dB of the excitation below 90 Hz, interpolated by frequency. Positive values stand
+for bass that the body feels."""
 
 LOW_EDGES_HZ = (20.0, 45.0, 90.0, 180.0, 280.0, 355.0, 450.0, 560.0)
 """Edges of the low bands, which have their own filters. Other bands use the onset window."""
@@ -64,15 +61,13 @@ QUADRATURE = (
     (0.6923878, 0.9360654322959, 0.9882295226860, 0.9987488452737),
     (0.4021921162426, 0.8561710882420, 0.9722909545651, 0.9952884791278),
 )
-"""Coefficients of two all-pass chains for an analytic signal with an image of -44 dB.
-
-With one chain delayed by a sample, the phases differ by 90 degrees. Source: Olli Niemitalo,
-"Hilbert transform"."""
+"""Coefficients of two all-pass chains for an analytic signal with an image of -44 dB. With one
+chain delayed by a sample, the phases differ by 90 degrees. Source: Olli Niemitalo, "Hilbert
+transform"."""
 
 GROUPS = (0, 1, 3, 6, 9, 12, 14, 16, 20)
-"""First band of each group, then the end of the last group.
-
-The edges between groups are 90, 280, 560, 1120, 2240, 3550 and 5600 Hz."""
+"""First band of each group, then the end of the last group. The edges between groups are 90, 280,
+560, 1120, 2240, 3550 and 5600 Hz."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +109,6 @@ class LoudnessDesign:
         edges, highs = _high_bands(onsets, samplerate / onsets.short_length)
         bands = [*dict.fromkeys(LOW_BAND_OF[low] for low in lows), *highs]
         quiet_db, groups = QUIET_DB[bands], np.searchsorted(bands, GROUPS)
-        widths = np.diff((0.0, *BARKS))[bands]
         return cls(
             low_smooth=_smoothing(grid.decimation, samplerate),
             quadrature=np.array(QUADRATURE) ** 2,
@@ -125,7 +119,7 @@ class LoudnessDesign:
             # The factor 2 is the inverse of the mean square of a full-scale tone.
             high_weights=2.0 * 10.0 ** (0.1 * OVER_QUIET_DB[highs]),
             loudness_scale=0.0635 * 10.0 ** (0.025 * quiet_db),
-            loudness_widths=widths,
+            loudness_widths=np.diff((0.0, *BARKS))[bands],
             loudness_groups=np.unique(groups).astype(np.float64),
         )
 

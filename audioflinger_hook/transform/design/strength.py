@@ -14,10 +14,9 @@ from audioflinger_hook.transform.design.synthesis import LiveGrid, SynthesisDesi
 from audioflinger_hook.transform.parameters import TransformParameters
 
 FELT_AT_HZ = 40.0
-"""Vibration of this frequency has weight 1.
-
-Above 12.5 Hz, the sensitivity of a seated body to vertical acceleration is proportional to 1/f.
-Sources: W_k of ISO 2631-1, up to 100 Hz; Griffin, Whitham and Parsons, Ergonomics 25, 1982."""
+"""Vibration of this frequency has weight 1. Above 12.5 Hz, the sensitivity of a seated body to
+vertical acceleration is proportional to 1/f. Sources: W_k of ISO 2631-1, up to 100 Hz; Griffin,
+Whitham and Parsons, Ergonomics 25, 1982."""
 
 FELT_FROM_HZ = 30.0  # lower vibration has the weight of this frequency
 FIT_BOOST_DB = 12.0  # largest gain of strength "fit" relative to 70 Hz
@@ -31,22 +30,18 @@ START_S, START_WEIGHT_S = 2.0, 0.5
 RELEASE_DB_A_S = 10.0  # decay rate of the peak loudness, the input of the programme level
 
 PROGRAMME_DB_A_S, RISE_S, FALL_S = 0.1, 240.0, 120.0
-"""Adaptation of the programme level: constant rate, and time constants of rise and fall.
-
-The constant rate makes the level approach the median. Slow adaptation preserves a crescendo."""
+"""Adaptation of the programme level: constant rate, and time constants of rise and fall. The
+constant rate makes the level approach the median. Slow adaptation preserves a crescendo."""
 
 FLOOR_RISE_DB_A_S = 2.0  # rate of rise of the noise floor, the recent minimum of the loudness
 JITTER_S, SLOW_S = 0.1, 0.03  # time constants for small changes of loudness, and for peak loudness
 
 ATTACK_S = 0.012
-"""Time after a jump in which small changes of loudness are not averaged.
-
-Within this time the new sound fills the windows. With averaging, the strength would be up to
-`jitter` too low for 0.1 s."""
+"""Time after a jump in which small changes of loudness are not averaged. Within this time the new
+sound fills the windows. With averaging, the strength would be up to `jitter` too low for 0.1 s."""
 
 GROUP_S, GROUP_UP_S, GROUP_DOWN_S, GROUP_DEVIATES_S = 0.006, 0.2, 0.4, 1.0
 """Time constants of a group's level, of a rise and a fall of its mean level, and of its deviation.
-
 The deviation is the mean absolute difference between level and mean level."""
 
 GROUP_SONE = 0.02  # added to the loudness of a group, to reduce level changes of faint sound
@@ -94,9 +89,7 @@ class StrengthDesign:
     start_near: float = 10.0
     far: float = 20.0  # larger differences of peak loudness and programme level count as this
     floor_under: float = 35.0  # the gate's noise floor is at least this below the programme level
-    gate_margin: float = (
-        0.01  # the gate is closed up to this share of its width above the noise floor
-    )
+    gate_margin: float = 0.01  # the gate is closed up to this share of its width above the floor
     jump: float = 10.0  # a larger rise in one tick is a jump
     group_sone: float = GROUP_SONE
     silence_db: float = 10.0 * math.log2(GROUP_SONE)  # level of a group of bands in silence
@@ -108,20 +101,12 @@ class StrengthDesign:
     boost_slope: float = 4.0  # dB of boost per dB of rise above `boost_deviations`
     boost_share_from: float = 0.02  # smallest share of the total loudness for a boost
     boost_share_width: float = 0.05  # for the full boost the share must be larger by this
-    boost_natural: float = (
-        0.5  # dB subtracted from a boost, besides the rise that the total loudness causes
-    )
+    boost_natural: float = 0.5  # dB subtracted from a boost, besides the rise by total loudness
     beat_hz: float = 50.0  # largest distance of partials whose beats are compensated
     beat_width_hz: float = 25.0  # beats below beat_hz - beat_width_hz are fully compensated
-    beat_least: float = (
-        0.35  # beats are compensated down to this share of the amplitude without beats
-    )
-    weakest_step: float = (
-        0.2  # each step's amplitude counts as at least this share of the largest in its tick
-    )
-    concentrated: float = (
-        4.0  # largest exponent of the sensitivities that weight amplitudes above `ceiling`
-    )
+    beat_least: float = 0.35  # beats are compensated down to this share of the steady amplitude
+    weakest_step: float = 0.2  # least amplitude of a step, as a share of the largest in its tick
+    concentrated: float = 4.0  # largest exponent of the weights of amplitudes above `ceiling`
     nothing: float = 1e-9  # sone; avoids a division by 0
 
     @classmethod

@@ -21,9 +21,8 @@ HOPS_A_WINDOW = 2.55  # hops per window, for a hop of about 18 ms
 TICK_S = 0.002  # interval of the search for onsets and of the computation of vibration
 
 ATTACK_HOPS = 0.35
-"""Duration of an amplitude glide, in hops, if the sum of all amplitudes rises.
-
-Other glides take 1 hop."""
+"""Duration of an amplitude glide, in hops, if the sum of all amplitudes rises. Other glides take 1
+hop."""
 
 # Duration of the low-pass's impulse response, down to 1e-8, in cycles of `vibration_top_hz`.
 RING_OUT_CYCLES = 92.0
@@ -33,22 +32,18 @@ LOW_PASS, HIGH_PASS = ELLIPTIC_6, BUTTERWORTH_1
 
 HIGH_PASS_HZ = (42.0, 18.0)
 """Edges of two high-passes, which reduce excursion below the lowest vibration frequency.
-
 `gain_table` compensates the gain down to `GAIN_FLOOR`. The second high-pass adds a delay of 0.7 ms
 at 60 Hz."""
 
 GAIN_FLOOR = 0.45  # `gain_table` compensates filter gains down to this value
 
 FOLLOWED_CEILING = 0.93
-"""Largest sum of amplitudes with loudness control.
-
-This value leaves 7 % of full scale for the overshoot of the low-pass."""
+"""Largest sum of amplitudes with loudness control. This value leaves 7 % of full scale for the
+overshoot of the low-pass."""
 
 BEGIN_S = 0.005  # fade-in at the start of a stream
 EDGE_MARGIN = 1.01  # ratio of the pass band's end to the top vibration frequency
-LEAST_EDGE_HZ = (
-    220.0  # lowest end of the pass band with loudness control, or if strength is not "flat"
-)
+LEAST_EDGE_HZ = 220.0  # lowest end of the pass band, except for strength "flat" without control
 TAPS = 4  # coefficients per interpolated frame; the delay is two steps, 0.7 ms
 FITTED_AT = 200  # number of frequencies for the least-squares fit of the interpolation
 
@@ -174,9 +169,8 @@ class SynthesisDesign:
         time = np.arange(1, grid.steps + 1) / grid.steps
         turn, turn_glide = glide_turns(grid.steps, grid.hop_s)
         _, tick_turn_glide = glide_turns(grid.tick_steps, grid.tick_s)
-        ring_s = RING_OUT_CYCLES / parameters.vibration_top_hz
         return cls(
-            ring_hops=int(np.ceil(ring_s / grid.hop_s)),
+            ring_hops=int(np.ceil(RING_OUT_CYCLES / parameters.vibration_top_hz / grid.hop_s)),
             attack=0.5 - 0.5 * np.cos(np.pi * np.minimum(1.0, time / ATTACK_HOPS)),
             glide=glide_shape(grid.steps),
             seconds=turn / (2.0 * np.pi),
@@ -198,10 +192,8 @@ class SynthesisDesign:
         low_rate_hz = samplerate / self.phases.shape[1]
         either_side = np.array([hz - step_hz, hz + step_hz])
         passed = _passed(self.low_b, self.low_a, self.low_sections, either_side, low_rate_hz)
-        turn = np.angle(passed[0] / passed[1])
-        low_pass_s = turn / (2.0 * np.pi * 2.0 * step_hz)
-        interpolation_s = (self.phases.size - 1) / 2 / samplerate
-        return float(low_pass_s + interpolation_s)
+        low_pass_s = np.angle(passed[0] / passed[1]) / (2.0 * np.pi * 2.0 * step_hz)
+        return float(low_pass_s + (self.phases.size - 1) / 2 / samplerate)
 
 
 def _passed(

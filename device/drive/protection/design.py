@@ -90,8 +90,7 @@ def bounding_models(
     if highest <= lowest:
         return [p]
     span = math.log(highest / lowest)
-    wanted = math.ceil(span * p.q_total(source_impedance_ohm) / _SPACING)
-    steps = min(max(1, wanted), _MODELS_MAX)
+    steps = min(max(1, math.ceil(span * p.q_total(source_impedance_ohm) / _SPACING)), _MODELS_MAX)
     models = [p]
     for step in range(steps + 1):
         ratio = lowest * math.exp(span * step / steps)
@@ -158,11 +157,9 @@ def protection_records(rig: Rig, samplerate: int, limits: Limits | None = None) 
             f"coil_temperature_c={hottest_c!r} cannot be kept: the rig {rig.name!r} describes no "
             "[thermal]; add it, or set no limit"
         )
-    frames = _block_frames(samplerate)
-    period_s = frames / samplerate
+    period_s = _block_frames(samplerate) / samplerate
     prediction, current_a = _predict(rig, samplerate, limits)
     ambient_c = thermal.ambient_c if thermal else 20.0
-    heating = Temperatures(thermal).step(period_s) if thermal else []
     return {
         **prediction,
         "hold_blocks": math.ceil(HOLD_S / period_s),
@@ -180,7 +177,7 @@ def protection_records(rig: Rig, samplerate: int, limits: Limits | None = None) 
         "coil_k_per_w": thermal.coil_k_per_w if thermal else 1.0,
         "coil_j_per_k": thermal.coil_j_per_k if thermal else 1.0,
         "approach_s": APPROACH_S,
-        "thermal": np.array(heating),
+        "thermal": np.array(Temperatures(thermal).step(period_s) if thermal else []),
     }
 
 
@@ -197,8 +194,7 @@ def _predict(rig: Rig, samplerate: int, limits: Limits) -> tuple[Records, float 
     models = bounding_models(rig.actuator, limits, source)
     sections = amplifier_sections(rig.amplifier, models, samplerate)
     drives = [DriveModel(model, samplerate, source, sections, volts) for model in models]
-    current_a = limits.current_a
-    if current_a is not None:
+    if (current_a := limits.current_a) is not None:
         most_a = max(drive.reach("current_a") for drive in drives) * limits.level * volts
         current_a *= 1.0 - RESERVE
         current_a = current_a if most_a > current_a else None

@@ -36,8 +36,7 @@ def amplifier_sections(
     amplifier: AmplifierParameters, models: Sequence[ActuatorParameters], samplerate: float
 ) -> FloatArray:
     """Return the amplifier's filters, except a low-pass far above all resonances, (n, 6)."""
-    highest_hz = max(model.resonance_hz for model in models)
-    far = amplifier.high_cut_hz > _FAR_ABOVE * highest_hz
+    far = amplifier.high_cut_hz > _FAR_ABOVE * max(model.resonance_hz for model in models)
     return Band(amplifier.low_cut_hz, np.inf if far else amplifier.high_cut_hz, samplerate).sections
 
 
@@ -81,8 +80,7 @@ class DriveModel:
 
         Infinity if the response decays too slowly; the core then predicts every block's motion.
         """
-        frames = self._horizon()
-        if not frames:
+        if not (frames := self._horizon()):
             return math.inf
         impulse = np.zeros(frames)
         impulse[0] = 1.0
@@ -95,8 +93,7 @@ class DriveModel:
         """Return the largest |x|, m per volt, after an amplifier state of norm 1 without input."""
         if not len(self._sections):
             return 0.0
-        frames = self._horizon()
-        if not frames:
+        if not (frames := self._horizon()):
             return math.inf
         squares = np.zeros(frames)
         for at, section in enumerate(self._sections):
@@ -109,8 +106,7 @@ class DriveModel:
 
     def _moved(self, volts: FloatArray, quantity: Quantity) -> FloatArray:
         actuator = LinearActuator(self.model, self.samplerate, self.source_impedance_ohm)
-        moved: FloatArray = getattr(actuator.move(volts, (quantity,)), quantity)
-        return moved
+        return np.asarray(getattr(actuator.move(volts, (quantity,)), quantity))
 
     def _horizon(self) -> int:
         """Return the number of frames until all oscillation has decayed to e^-25; 0 if too many."""
@@ -138,8 +134,7 @@ def _cascade(sections: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, 
     turn, enter, leave, through = np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0
     for section in sections:
         own, entered, left, direct, _ = _section(section)
-        corner = np.outer(entered, leave)
-        turn = np.block([[turn, np.zeros((len(turn), 2))], [corner, own]])
+        turn = np.block([[turn, np.zeros((len(turn), 2))], [np.outer(entered, leave), own]])
         enter = np.concatenate([enter, entered * through])
         leave = np.concatenate([leave * direct, left])
         through *= direct
@@ -152,10 +147,8 @@ def _section(section: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, f
     own = np.array([[-a1, 1.0], [-a2, 0.0]])
     entered = np.array([b1 - a1 * b0, b2 - a2 * b0])
     values, vectors = np.linalg.eig(own)
-    if abs(values[0].imag) > 0.0:
-        shape = np.column_stack([vectors[:, 0].real, vectors[:, 0].imag])
-    else:
-        shape = vectors.real
+    first = vectors[:, 0]
+    shape = np.column_stack([first.real, first.imag]) if values[0].imag else vectors.real
     shape = shape / np.linalg.norm(shape[0])
     back = np.linalg.inv(shape)
     return back @ own @ shape, back @ entered, shape[0], b0, shape

@@ -130,8 +130,7 @@ class Exchange:
         self.background_frames = self._got
         variance = self._squares / self._got - (self._sum / self._got) ** 2
         for channel in self._used:
-            rms = math.sqrt(max(float(variance[channel]), 0.0))
-            if rms > LOUDEST_BACKGROUND:
+            if (rms := math.sqrt(max(float(variance[channel]), 0.0))) > LOUDEST_BACKGROUND:
                 self._refuse(
                     channel,
                     f"{rms:.3g} r.m.s. of full scale before anything was played, at most "

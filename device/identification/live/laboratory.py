@@ -198,8 +198,7 @@ class LiveLaboratory:
         delay = two_clocks.find_delay(excitation, after, clearest)
         drift = two_clocks.find_drift(excitation, after, delay, clearest)
         for before in self._drifts:
-            change = abs(drift.value - before.value)
-            if change > MOST_CHANGE_PPM + drift.reach + before.reach:
+            if abs(drift.value - before.value) > MOST_CHANGE_PPM + drift.reach + before.reach:
                 raise two_clocks.DropoutError(
                     f"{clearest}: the clocks differ by {drift.value:+.0f} ppm, in an earlier sweep "
                     f"by {before.value:+.0f}: frames were lost or added; close other programs, and "

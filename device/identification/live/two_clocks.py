@@ -94,8 +94,7 @@ def find_drift(excitation: Excitation, channel: FloatArray, delay: int, name: st
     size = int(next_fast_len(2 * length, real=True))
     inside = _inside(excitation, size)
     cross = np.where(inside, rfft(marks[0], size).conj() * rfft(marks[1], size), 0.0)
-    shape = irfft(cross, size)
-    coarse = int(np.argmax(shape))
+    coarse = int(np.argmax(irfft(cross, size)))
     coarse -= size if coarse > size // 2 else 0
     # fit a line through 0 to the remaining phase
     turn = math.tau * rfftfreq(size)[inside]

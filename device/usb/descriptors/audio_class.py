@@ -100,8 +100,7 @@ _LAYOUTS: dict[int, dict[int, _Layout]] = {
 
 def read_entity(block: Block, uac: int) -> Entity | None:
     """Return the entity that a descriptor describes; None if it describes none or is invalid."""
-    layout = _LAYOUTS.get(uac, {}).get(block.subtype)
-    if layout is None:
+    if (layout := _LAYOUTS.get(uac, {}).get(block.subtype)) is None:
         return None
     block.name = layout.kind
     if not block.holds(layout.least):

@@ -42,8 +42,7 @@ def _check_counts(configuration: Configuration, findings: Findings) -> None:
         count, wanted = len(interface.endpoints), interface.endpoint_count
         if count != wanted:
             findings.note(*where, f"bNumEndpoints is {wanted}, but it has {count}")
-        missing = sorted(set(interface.listed or ()) - numbers)
-        if missing:
+        if missing := sorted(set(interface.listed or ()) - numbers):
             findings.note(*where, f"its header lists interface {missing[0]}, which is missing")
 
 
@@ -85,8 +84,7 @@ def _check_streaming(interface: Interface, function: Topology | None, findings: 
     if general is None:
         return
     terminals = function.terminals if function else {}
-    terminal = terminals.get(general.terminal_link)
-    if terminal is None:
+    if (terminal := terminals.get(general.terminal_link)) is None:
         problem = f"bTerminalLink is {general.terminal_link}; terminals: {listed(terminals)}"
         findings.note(general.offset, "streaming general", problem)
     elif function and terminal.kind == INPUT:

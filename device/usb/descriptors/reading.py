@@ -84,8 +84,7 @@ def parse_configuration(raw: bytes, begins_at: int = 0) -> Configuration:
             "first, as in /sys/bus/usb/devices/PORT/descriptors"
         )
     findings = Findings(begins_at)
-    total = int.from_bytes(raw[2:4], "little")
-    if total != len(raw):
+    if (total := int.from_bytes(raw[2:4], "little")) != len(raw):
         difference = f"{abs(total - len(raw))} {'missing' if total > len(raw) else 'too many'}"
         problem = f"it has {len(raw)} bytes, but wTotalLength is {total}: {difference}"
         findings.note(0, "configuration", problem)

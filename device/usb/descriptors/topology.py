@@ -1,6 +1,6 @@
 """Finds paths of sound and clocks in an audio function; a search visits each entity only once."""
 
-from functools import cached_property
+from functools import cache, cached_property
 
 from device.usb.descriptors import audio_class
 from device.usb.descriptors.configuration import Configuration, Interface
@@ -24,27 +24,26 @@ class Topology:
             for entity in self.entities.values()
             if entity.kind in (audio_class.INPUT, audio_class.OUTPUT)
         }
-        self._outputs: dict[int, tuple[tuple[int, ...], audio_class.Entity | None]] = {}
-        self._clock_sources: dict[int, tuple[int, ...]] = {}
+        self.output = cache(self._output)
+        self.clock_sources = cache(self._clock_sources)
 
-    def output(self, terminal_id: int) -> tuple[tuple[int, ...], audio_class.Entity | None]:
+    def _output(self, terminal_id: int) -> tuple[tuple[int, ...], audio_class.Entity | None]:
         """Return the path from an input terminal to an output terminal, and a feature unit on it.
 
         The path contains the ids of all entities, both terminals included; () if there is none.
         Loudspeakers and headphones have priority over other outputs; then the shortest path is
         chosen. Feature units with a settable volume have priority, then those with a settable mute.
         """
-        if terminal_id not in self._outputs:
-            path = [terminal_id]
-            while (following := self._next.get(path[-1])) is not None:
-                path.append(following)
-            reached = (self.entities.get(each) for each in path if len(path) > 1)
-            units = [entity for entity in reached if entity and entity.kind == audio_class.FEATURE]
-            wanted = (audio_class.FeatureControl.VOLUME, audio_class.FeatureControl.MUTE)
-            settable = (unit for control in wanted for unit in units if unit.settable(control))
-            unit = next(settable, units[0] if units else None)
-            self._outputs[terminal_id] = (tuple(path) if len(path) > 1 else (), unit)
-        return self._outputs[terminal_id]
+        path = [terminal_id]
+        while (following := self._next.get(path[-1])) is not None:
+            path.append(following)
+        if len(path) == 1:
+            return (), None
+        reached = (self.entities.get(each) for each in path)
+        units = [entity for entity in reached if entity and entity.kind == audio_class.FEATURE]
+        wanted = (audio_class.FeatureControl.VOLUME, audio_class.FeatureControl.MUTE)
+        settable = (unit for control in wanted for unit in units if unit.settable(control))
+        return tuple(path), next(settable, units[0] if units else None)
 
     @cached_property
     def _next(self) -> dict[int, int]:
@@ -70,20 +69,17 @@ class Topology:
                         queue.append(source)
         return following
 
-    def clock_sources(self, clock_id: int) -> tuple[int, ...]:
+    def _clock_sources(self, clock_id: int) -> tuple[int, ...]:
         """Return the ids of the sources of a clock; a clock selector may have several sources."""
-        if clock_id not in self._clock_sources:
-            seen, queue, found = {clock_id}, [clock_id], []
-            for here in queue:
-                clock = self.entities.get(here)
-                if clock and clock.kind == audio_class.CLOCK_SOURCE:
-                    found.append(here)
-                if clock and clock.kind in audio_class.CLOCKS:
-                    unseen = set(clock.source_ids) - seen
-                    queue += unseen
-                    seen |= unseen
-            self._clock_sources[clock_id] = tuple(sorted(found))
-        return self._clock_sources[clock_id]
+        seen, queue, found = {clock_id}, [clock_id], []
+        for here in queue:
+            if (clock := self.entities.get(here)) and clock.kind == audio_class.CLOCK_SOURCE:
+                found.append(here)
+            if clock and clock.kind in audio_class.CLOCKS:
+                unseen = set(clock.source_ids) - seen
+                queue += unseen
+                seen |= unseen
+        return tuple(sorted(found))
 
 
 def topologies(configuration: Configuration) -> dict[int, Topology]:
@@ -99,8 +95,7 @@ def topologies(configuration: Configuration) -> dict[int, Topology]:
             functions[interface.number] = Topology(interface)
     owners = dict(functions)
     for spanned in configuration.associations[:_ASSOCIATIONS_MAX]:
-        first = next((functions[n] for n in spanned if n in functions), None)
-        if first:
+        if first := next((functions[n] for n in spanned if n in functions), None):
             for number in spanned:
                 owners.setdefault(number, first)
     versions = {i.number: i.uac for i in configuration.interfaces if i.is_streaming}
