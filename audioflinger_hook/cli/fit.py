@@ -14,6 +14,7 @@ from functools import partial
 
 from audioflinger_hook.cli.terminal import pressed_keys
 from audioflinger_hook.config import fits
+from audioflinger_hook.config.toml_text import json_object
 from audioflinger_hook.fit import PROTOCOL_TEXT
 from audioflinger_hook.fit.curve import HZ
 from audioflinger_hook.fit.session import FitSession, FittedPerson, SimulatedSitter, Sitter
@@ -23,7 +24,6 @@ from audioflinger_hook.trials.person import Person, TerminalAnswers
 from audioflinger_hook.trials.player import opened
 from audioflinger_hook.trials.record import TrialRecord, design_digest
 from audioflinger_hook.trials.record import run as answered
-from audioflinger_hook.trials.simulated import people_file
 from device.errors import UsageError
 from device.values import counted
 
@@ -49,7 +49,7 @@ def _fit(options: argparse.Namespace, stack: ExitStack) -> None:
         raise UsageError("--simulate answers itself; leave out --page and --device")
     sitter: Sitter
     if options.simulate:
-        values, what = people_file(options.simulate), f"the sitter {options.simulate}"
+        values, what = json_object(options.simulate), f"the sitter {options.simulate}"
         sitter, device = fits.checked(SimulatedSitter, values, what), None
     else:
         daemon = stack.enter_context(opened(options.device or "", time.monotonic))

@@ -73,6 +73,17 @@ def text_of(path: Path, *, or_empty: bool = False, kind: str = "config file") ->
         ) from None
 
 
+def json_object(path: Path) -> dict[str, Any]:
+    """Return the JSON object in a file. UsageError: the file cannot be read, or has none."""
+    try:
+        found = json.loads(text_of(path, kind="JSON file"))
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"{path} is no JSON ({error})") from None
+    if isinstance(found, dict):
+        return found
+    raise UsageError(f"{path} is not a JSON object")
+
+
 def parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
     """Parse a text without the lines that have syntax errors, and also return these errors.
 

@@ -21,7 +21,6 @@ from audioflinger_hook.transform.design.strength import interpolated_db
 from audioflinger_hook.trials.page import screen
 from audioflinger_hook.trials.person import Person
 from audioflinger_hook.trials.player import Played
-from audioflinger_hook.trials.simulated import drawn, with_lapses
 from device.units import Float32Array, db_to_amplitude
 from device.values import Described, Number
 
@@ -44,9 +43,9 @@ class SimulatedSitter(Described):
         hz = np.array([trial["hz"], P.reference_hz])
         test_db, reference_db = interpolated_db(curve_text(self.curve_db), hz)
         stronger = ndtr((test_db - reference_db + trial["level_db"]) / self.jnd_db)
-        chances = with_lapses(np.array([stronger, 1.0 - stronger]), self.lapse)
+        chance = 0.5 * self.lapse + (1.0 - self.lapse) * stronger
         # not from the stream of [seed, number], which draws the trial itself
-        is_weaker = drawn(chances, np.random.default_rng([self.seed, trial["trial"], 7]))
+        is_weaker = np.random.default_rng([self.seed, trial["trial"], 7]).random() > chance
         return {"answer": "second" if is_weaker == trial["test_first"] else "first"}
 
 

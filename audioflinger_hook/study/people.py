@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from audioflinger_hook.config.toml_text import json_object
 from audioflinger_hook.study.design import BUILT_IN, Design, people_schema, why_not
 from audioflinger_hook.study.measure import Measured, chance, measure, p_value
 from audioflinger_hook.study.session import Script
 from audioflinger_hook.trials.record import Rows, run
-from audioflinger_hook.trials.simulated import people_file
 from device.errors import UsageError
 from device.units import FloatArray
 
@@ -75,7 +75,7 @@ def load_people(path: Path, design: Design) -> tuple[People, int]:
     for name, question in design.questions.items():
         own = people_schema(question.kind, question.conditions)
         schema["properties"]["questions"]["properties"][name] = own
-    document = people_file(path)
+    document = json_object(path)
     if problem := why_not(schema, document):  # which also adds the defaults
         raise UsageError(f"{path}: {problem}; see docs/study.md")
     return People(design, document["questions"], document["seed"]), document["people"]

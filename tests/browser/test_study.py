@@ -148,8 +148,8 @@ def test_a_study_of_three_conditions_through_the_page_and_the_daemon(chromium, t
         if np.allclose(heard[begin : begin + len(noise)], noise, atol=1e-4):
             print(name, lag)
             assert abs(lag - LATE_MS * RATE_HZ / 1e3 * (name == "late")) <= WITHIN_FRAMES
-            both = felt[begin + lag : begin + len(noise)], noise[: len(noise) - lag]
-            level_db, whole_db = map(weighted_db, both)
+            parts = felt[begin + lag : begin + len(noise)], noise[: len(noise) - lag]
+            level_db, whole_db = map(weighted_db, parts)
             levels[name].append(level_db - whole_db - WEAK_DB * (name == "weak"))
     print(levels)
     assert all(levels.values())
