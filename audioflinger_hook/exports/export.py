@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.exports import ahap, haptic_clip, vibration_xml
+from audioflinger_hook.exports import ahap, haptic_clip, parametric, vibration_xml
 from audioflinger_hook.exports.hjif import HjifWriter
 from audioflinger_hook.exports.ogg_haptic import OggHapticOutput
 from audioflinger_hook.exports.options import (
@@ -16,16 +16,6 @@ from audioflinger_hook.exports.options import (
     check_channel_count,
     format_of,
     held_rate_hz,
-)
-from audioflinger_hook.exports.parametric import (
-    Composed,
-    CurveWriter,
-    DescribedOutput,
-    Job,
-    PartialLines,
-    Writer,
-    check_duration,
-    refuse_settings,
 )
 from audioflinger_hook.exports.sound_output import (
     BackgroundOutput,
@@ -44,12 +34,12 @@ from device.wav_output import WavOutput
 
 __all__ = ["FORMATS", "ExportOptions", "ExportReport", "export", "format_of"]
 
-WRITERS: dict[str, Callable[[Job], Writer]] = {
-    "ahap": lambda job: CurveWriter(job, ahap.compose),
-    "haptic": lambda job: CurveWriter(job, haptic_clip.compose),
-    "vibration-xml": lambda job: CurveWriter(job, vibration_xml.compose),
+WRITERS: dict[str, Callable[[parametric.Job], parametric.Writer]] = {
+    "ahap": lambda job: parametric.CurveWriter(job, ahap.compose),
+    "haptic": lambda job: parametric.CurveWriter(job, haptic_clip.compose),
+    "vibration-xml": lambda job: parametric.CurveWriter(job, vibration_xml.compose),
     "hjif": HjifWriter,
-    "partials": PartialLines,
+    "partials": parametric.PartialLines,
 }
 
 
@@ -83,7 +73,9 @@ def export(
         check_channel_count(name, channels)
         rate = options.output_rate_hz or held_rate_hz(name, samplerate)
         if name in WRITERS:
-            file = DescribedOutput(path, samplerate, channels, settings, options, WRITERS[name])
+            file = parametric.DescribedOutput(
+                path, samplerate, channels, settings, options, WRITERS[name]
+            )
         elif name == "flac":
             file = SoundFileOutput(path, rate, channels, "FLAC", "PCM_24")
         elif name == "ogg-haptic":
@@ -99,15 +91,15 @@ def export(
             assert background
             run, hear = background.run, file.hear
             return lambda step: run(hear, step.audio)
-        return file.observe(framework) if isinstance(file, DescribedOutput) else None
+        return file.observe(framework) if isinstance(file, parametric.DescribedOutput) else None
 
     with closing(client):
         if name in WRITERS:
-            refuse_settings(name, settings)
+            parametric.refuse_settings(name, settings)
             # The file is for any actuator, so no rig's resonance is compensated.
             settings = replace(settings, said=(*settings.said, "strength"))
         if FORMATS[name].whole and client.frames_expected:
-            check_duration(client.frames_expected / client.samplerate, name)
+            parametric.check_duration(client.frames_expected / client.samplerate, name)
         report = render(
             client,
             target,
@@ -122,7 +114,9 @@ def export(
     more = [f"{limited} samples beyond full scale were limited"] if limited else []
     if rate != (options.output_rate_hz or report.samplerate):
         more.append(f"the format {name} cannot have {report.samplerate} Hz; the file has {rate} Hz")
-    composed = file.composed if isinstance(file, DescribedOutput) else Composed()
+    composed = (
+        file.composed if isinstance(file, parametric.DescribedOutput) else parametric.Composed()
+    )
     return ExportReport(
         format=name,
         frames=-(-report.frames * rate // report.samplerate),

@@ -5,15 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from audioflinger_hook.core.rounding import round_filter, round_sections
+from audioflinger_hook.transform import filters
 from audioflinger_hook.transform.arrays import ComplexArray, FloatArray
-from audioflinger_hook.transform.filters import (
-    BUTTERWORTH_1,
-    ELLIPTIC_6,
-    high_pass,
-    low_pass,
-    response,
-    response_of_sections,
-)
 from audioflinger_hook.transform.parameters import TransformParameters
 
 LOW_RATE_HZ = 3_000.0  # approximate samplerate of the oscillators (low rate)
@@ -28,7 +21,7 @@ hop."""
 RING_OUT_CYCLES = 92.0
 
 # The phase shift of a steeper high-pass would smear impacts.
-LOW_PASS, HIGH_PASS = ELLIPTIC_6, BUTTERWORTH_1
+LOW_PASS, HIGH_PASS = filters.ELLIPTIC_6, filters.BUTTERWORTH_1
 
 HIGH_PASS_HZ = (42.0, 18.0)
 """Edges of two high-passes, which reduce excursion below the lowest vibration frequency.
@@ -152,13 +145,13 @@ class SynthesisDesign:
         followed = parameters.loudness_db > 0.0
         plain = not followed and parameters.strength in ("flat", "fit")
         edge_hz = top_hz if plain else max(top_hz, EDGE_MARGIN * LEAST_EDGE_HZ)
-        zeros, poles, gain = low_pass(LOW_PASS, edge_hz, low_rate_hz)
+        zeros, poles, gain = filters.low_pass(LOW_PASS, edge_hz, low_rate_hz)
         low_b = low_a = sections = np.zeros(0)
         if plain:
             low_b, low_a = round_filter(zeros, poles, gain)
         else:
             for hz in HIGH_PASS_HZ:
-                high = high_pass(HIGH_PASS, hz, low_rate_hz)
+                high = filters.high_pass(HIGH_PASS, hz, low_rate_hz)
                 zeros = np.concatenate((zeros, high.zeros))
                 poles = np.concatenate((poles, high.poles))
                 gain *= high.gain
@@ -201,8 +194,8 @@ def _passed(
 ) -> ComplexArray:
     """Return the frequency response of `sections`; if they are empty, that of the filter b, a."""
     if sections.size:
-        return response_of_sections(sections, hz, rate_hz)
-    return response(b, a, hz, rate_hz)
+        return filters.response_of_sections(sections, hz, rate_hz)
+    return filters.response(b, a, hz, rate_hz)
 
 
 def glide_shape(steps: int) -> FloatArray:

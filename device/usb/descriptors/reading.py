@@ -4,6 +4,7 @@ import struct
 from dataclasses import dataclass, replace
 from itertools import chain
 
+from device.usb.descriptors import configuration
 from device.usb.descriptors.audio_class import read_entity, read_format, read_general, read_header
 from device.usb.descriptors.blocks import (
     ASSOCIATION,
@@ -19,16 +20,6 @@ from device.usb.descriptors.blocks import (
     blocks,
 )
 from device.usb.descriptors.checks import check
-from device.usb.descriptors.configuration import (
-    UAC_OF_PROTOCOL,
-    Configuration,
-    DeviceDescriptor,
-    Endpoint,
-    Interface,
-    Synchronisation,
-    Transfer,
-    Usage,
-)
 from device.usb.descriptors.playback import playback_formats
 from device.values import counted
 
@@ -43,8 +34,8 @@ class WholeDevice:
     are readable. rest: undecoded bytes at the end. raw: all bytes.
     """
 
-    device: DeviceDescriptor | None
-    configurations: tuple[Configuration, ...]
+    device: configuration.DeviceDescriptor | None
+    configurations: tuple[configuration.Configuration, ...]
     rest: bytes
     raw: bytes
 
@@ -61,14 +52,14 @@ class WholeDevice:
             problems.append(f"from 0x{at:04x} on, {left} cannot be read")
         return "; ".join(problems)
 
-    def active(self, value: int | None) -> Configuration | None:
+    def active(self, value: int | None) -> configuration.Configuration | None:
         """Return the configuration of this value, else the first that can play, else the first."""
         selected = (one for one in self.configurations if one.value == value)
         playing = (one for one in self.configurations if playback_formats(one))
         return next(chain(selected, playing, self.configurations), None)
 
 
-def parse_configuration(raw: bytes, begins_at: int = 0) -> Configuration:
+def parse_configuration(raw: bytes, begins_at: int = 0) -> configuration.Configuration:
     """Return the configuration at the start of the bytes.
 
     raw: the configuration descriptor and all descriptors that belong to it. begins_at: position of
@@ -89,7 +80,7 @@ def parse_configuration(raw: bytes, begins_at: int = 0) -> Configuration:
         problem = f"it has {len(raw)} bytes, but wTotalLength is {total}: {difference}"
         findings.note(0, "configuration", problem)
     associations: list[range] = []
-    interfaces: list[Interface] = []
+    interfaces: list[configuration.Interface] = []
     group: list[Block] = []
     for block in blocks(raw[:_BYTES_MAX], raw[0], findings):
         if block.type in (INTERFACE, ASSOCIATION):
@@ -99,12 +90,14 @@ def parse_configuration(raw: bytes, begins_at: int = 0) -> Configuration:
             associations.append(range(block.raw[2], block.raw[2] + block.raw[3]))
         group.append(block)
     interfaces += _interface(group)
-    found = Configuration(raw[5], raw[4], tuple(associations), tuple(interfaces), (), bytes(raw))
+    found = configuration.Configuration(
+        raw[5], raw[4], tuple(associations), tuple(interfaces), (), bytes(raw)
+    )
     check(found, findings)
     return replace(found, problems=findings.problems())
 
 
-def parse_device(raw: bytes) -> DeviceDescriptor:
+def parse_device(raw: bytes) -> configuration.DeviceDescriptor:
     """Return the device descriptor at the start of the bytes. DescriptorError: there is none."""
     least = LEAST_BYTES[DEVICE]
     if len(raw) < least or raw[0] < least or raw[1] != DEVICE:
@@ -112,10 +105,10 @@ def parse_device(raw: bytes) -> DeviceDescriptor:
             f"no device descriptor: {counted(len(raw), 'bytes')} there, "
             f"{raw[:2].hex(' ') or 'none'} first; needed: {least} or more, 12 01 first"
         )
-    return DeviceDescriptor(*struct.unpack_from("<2xH4xHHH3xB", raw))
+    return configuration.DeviceDescriptor(*struct.unpack_from("<2xH4xHHH3xB", raw))
 
 
-def _interface(group: list[Block]) -> list[Interface]:
+def _interface(group: list[Block]) -> list[configuration.Interface]:
     """Return the alternate setting that a group of descriptors describes, in a list, or []."""
     if not group or group[0].type != INTERFACE or not group[0].holds(LEAST_BYTES[INTERFACE]):
         for block in group:
@@ -123,10 +116,10 @@ def _interface(group: list[Block]) -> list[Interface]:
                 block.note("it belongs to no interface; it is ignored")
         return []
     head, *others = group
-    interface = Interface(head.offset, *head.raw[2:8])
+    interface = configuration.Interface(head.offset, *head.raw[2:8])
     head.name = interface.title
     uac = interface.uac
-    if uac and interface.protocol not in UAC_OF_PROTOCOL:
+    if uac and interface.protocol not in configuration.UAC_OF_PROTOCOL:
         known = "0x00 (1.0), 0x20 (2.0) and 0x30 (3.0)"
         head.note(f"bInterfaceProtocol is 0x{interface.protocol:02x}, read as 1.0; known: {known}")
     endpoints = tuple(
@@ -151,14 +144,14 @@ def _interface(group: list[Block]) -> list[Interface]:
     return [interface]
 
 
-def _endpoint(block: Block) -> Endpoint:
+def _endpoint(block: Block) -> configuration.Endpoint:
     raw, attributes, max_packet = block.raw, block.raw[3], block.number(4, 2)
-    return Endpoint(
+    return configuration.Endpoint(
         block.offset,
         address=raw[2],
-        transfer=Transfer(attributes & 3),
-        synchronisation=Synchronisation(attributes >> 2 & 3),
-        usage=Usage(attributes >> 4 & 3),
+        transfer=configuration.Transfer(attributes & 3),
+        synchronisation=configuration.Synchronisation(attributes >> 2 & 3),
+        usage=configuration.Usage(attributes >> 4 & 3),
         # packet size times transactions (USB 2.0, 9.6.6)
         packet_bytes=(max_packet & 0x7FF) * (1 + (max_packet >> 11 & 3)),
         interval=raw[6],
@@ -174,7 +167,7 @@ def parse_whole(raw: bytes) -> WholeDevice:
     raw = bytes(raw)
     device = parse_device(raw) if raw[1:2] == bytes([DEVICE]) else None
     at = raw[0] if device else 0
-    configurations: list[Configuration] = []
+    configurations: list[configuration.Configuration] = []
     while at < len(raw):
         end = at + int.from_bytes(raw[at + 2 : at + 4], "little")
         if end < at + LEAST_BYTES[CONFIGURATION] or raw[end : end + 2] != raw[at : at + 2]:
