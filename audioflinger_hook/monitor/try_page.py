@@ -34,7 +34,8 @@ OF_THE_LIVE_PAGE = (
 )
 OWN = (
     *("core.js", "output.js", "player.js", "render.js", "sound.js", "sources.js", "try.js"),
-    *("vibration.js", "wav.js", "worker.js", "try.css", "core.wasm"),
+    *("vibration.js", "wav.js", "worker.js", "try.css", "try.webmanifest"),
+    "core.wasm",
 )
 OFFLINE = "offline.js"  # keeps the page in the browser
 TYPES = {
@@ -47,15 +48,6 @@ TYPES = {
     "wav": "audio/wav",
     "webmanifest": "application/manifest+json",
 }
-MANIFEST = {
-    "name": "Haptic Cushion: try it",
-    "short_name": "Haptic Cushion",
-    "start_url": "./",
-    "display": "standalone",
-    "background_color": "#0b0e13",
-    "theme_color": "#141921",
-    "icons": [{"src": "icon.svg", "sizes": "any", "type": "image/svg+xml"}],
-}
 
 
 def page_files() -> dict[str, Callable[[], bytes]]:
@@ -64,7 +56,6 @@ def page_files() -> dict[str, Callable[[], bytes]]:
     Designs and scenes are computed at the first call, in up to 2 s. Any thread may call them.
     """
     made: dict[str, Callable[[], bytes]] = {"index.html": _index, OFFLINE: _offline}
-    made["try.webmanifest"] = lambda: json.dumps(MANIFEST).encode()
     made |= {name: partial(_static, name) for name in OF_THE_LIVE_PAGE}
     made |= {name: partial(_static, f"try/{name}") for name in OWN}
     for profile in PROFILES:
@@ -80,7 +71,7 @@ def content_type(name: str) -> str:
 def first_files() -> list[str]:
     """Return the names of the files that the page needs to start with the first profile."""
     designs = [f"{PROFILES[0]}-{rate}.design" for rate in RATES]
-    return ["index.html", "try.webmanifest", *OF_THE_LIVE_PAGE, *OWN, *designs]
+    return ["index.html", *OF_THE_LIVE_PAGE, *OWN, *designs]
 
 
 @cache

@@ -67,10 +67,8 @@ class People:
 
 def load_people(path: Path, design: Design) -> tuple[People, int]:
     """Return the people of a JSON file, and their number. UsageError: it has a mistake."""
-    schema, most = (
-        json.loads((BUILT_IN / "people.schema.json").read_text()),
-        design.study.participants,
-    )
+    schema = json.loads((BUILT_IN / "people.schema.json").read_text())
+    most = design.study.participants
     schema["properties"]["people"] |= {"maximum": most, "default": most}
     for name, question in design.questions.items():
         own = people_schema(question.kind, question.conditions)
