@@ -3,7 +3,7 @@
 Each module has a class `Method`, a subclass of `stages.Baseline`.
 """
 
-from audioflinger_hook.baselines import band_pass, centroid, constant, envelope, octave_fold
+from audioflinger_hook.baselines import band_pass, centroid, envelope, octave_fold
 from audioflinger_hook.baselines.stages import Baseline
 
 __all__ = ["BASELINES", "Baseline"]
@@ -14,5 +14,3 @@ BASELINES: dict[str, type[Baseline]] = {
     "centroid": centroid.Method,
     "octave-fold": octave_fold.Method,
 }
-
-CONSTANT: type[Baseline] = constant.Method
