@@ -11,20 +11,14 @@ import pytest
 
 from tests.servers.daemons import Daemon, running, tone
 from tests.servers.listening import need, own_server, playing, wait_for
+from tests.support.data import text
 from tools.live_page import Monitor, browser, missing_browser, open_page, served
 from tools.sound_server import SoundServer, missing_programs
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-CONFIG = """# My cushion.
-device = "haptic" # the one under the seat
-
-gain_db = -3.0 # the neighbours
-
-[transform]
-threshold_hz = 8.0
-"""
+CONFIG = text("page-config.toml")
 
 
 @dataclass

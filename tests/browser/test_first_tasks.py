@@ -8,6 +8,7 @@ import pytest
 from tests.browser.conftest import CONFIG, says, state
 from tests.servers.daemons import tone
 from tests.servers.listening import playing, wait_for
+from tests.support.data import text
 from tools.live_page import open_page
 
 pytestmark = pytest.mark.browser
@@ -71,16 +72,7 @@ def test_names_of_applications_stay_whole_and_parts_stay_inside_their_panels(roo
     with playing(room.server, "desktop", tone(440.0, 30.0), name="Film player"):
         page = opened(room, (width, 768))
         says(page, "#applications", "Film player")
-        name_lines, outside = page.evaluate(
-            """() => {
-              const range = document.createRange();
-              const right = (one) => one.getBoundingClientRect().right;
-              range.selectNodeContents(document.querySelector("#applications .name").firstChild);
-              const parts = [...document.querySelectorAll("main .panel :not(.track *)")];
-              const outside = parts.filter((one) => right(one) > right(one.closest(".panel")) - 8);
-              return [range.getClientRects().length, outside.map((one) => one.outerHTML)];
-            }"""
-        )
+        name_lines, outside = page.evaluate(text("parts-outside.js"))
         page.context.close()
     assert (name_lines, outside) == (1, [])
 
@@ -197,17 +189,7 @@ def test_the_sync_test_can_be_cancelled_to_no_effect_and_needs_a_vibration_that_
 
 
 def test_answers_of_a_person_lead_to_the_delay(page):
-    found = page.evaluate(
-        """async () => {
-          const { stepped } = await import("/sync.js");
-          return [0, 37, 120, 204, 333, 480].map((delay) => {
-            let state = { offset: 0, step: 80, before: 0 }, answers = 0;
-            while (Math.abs(delay - state.offset) > 4 && answers++ < 30)
-              state = stepped(state, Math.sign(delay - state.offset), 500);
-            return [delay, state.offset, answers];
-          });
-        }"""
-    )
+    found = page.evaluate(text("stepped-answers.js"))
     print(found)
     assert all(abs(delay - offset) <= 4 and answers <= 20 for delay, offset, answers in found)
 

@@ -23,7 +23,7 @@ from tests.servers.daemons import ROOT, cpu_percent, program, running, tone
 from tests.servers.listening import RATE_HZ, more, need, own_server, playing, recording, wait_for
 from tests.servers.test_live_changes import check_steady
 from tests.servers.witness import Verdict, silent_blocks, tears, witness_tone
-from tests.support.memory import resident_bytes
+from tests.support.costs import resident_bytes
 from tools.live_page import Monitor, served
 from tools.sound_server import SoundServer
 

@@ -14,6 +14,7 @@ from device.errors import UsageError
 from tests.support.catalogues import library, manifest
 from tests.support.commands import call, noise, sound, start
 from tests.support.costs import cost_ffts
+from tests.support.data import table
 from tools.bench.cost import in_ffts
 
 OUT = "/nowhere/out"
@@ -97,33 +98,7 @@ def test_a_folder_or_a_glob_gives_sounds_in_order_without_the_results(tmp_path):
     assert ids("s01.wav") == ["s01"]
 
 
-MISTAKES = {
-    "{": "is not JSON",
-    '["a.wav"]': "is not an object",
-    '{"id": "x"}': "audio is missing",
-    '{"audio": 5}': "audio='5' is not a text",
-    '{"audio": ""}': "audio='' is not a text",
-    '{"audio": "a.wav", "start_s": -1}': "start_s='-1.0' is out of range; allowed: 0 to",
-    '{"audio": "a.wav", "start_s": "soon"}': "start_s='soon' is not a number",
-    '{"audio": "a.wav", "duration_s": 0}': "duration_s='0.0' is out of range",
-    '{"audio": "a.wav", "start_s": NaN}': "start_s='nan' is out of range",
-    '{"audio": "a.wav", "channels": "both"}': "allowed: mono, each, or channel numbers",
-    '{"audio": "a.wav", "channels": [-1]}': "is not a choice of channels",
-    '{"audio": "a.wav", "profile": "musik"}': "did you mean music?",
-    '{"audio": "a.wav", "id": "../x"}': "is not a name of a result",
-    '{"audio": "a.wav", "id": "/x"}': "is not a name of a result",
-    '{"audio": "a.wav", "id": "failed"}': "is the name of a file of the run",
-    '{"audio": "a.wav", "id": "failed-1-of-2.jsonl/a"}': "is the name of a file of the run",
-    '{"audio": "a.wav", "id": 3}': "id='3' is not a name",
-    '{"audio": "a.wav", "track": 0}': "track='0' is out of range",
-    '{"audio": "a.wav", "durations_s": 3}': "did you mean duration_s?",
-    '{"audio": "a.wav", "start_s": 1, "offset": 2}': "start_s is given twice, as '1' and '2'",
-    '{"audio": "nowhere://b/c.wav"}': "has an unknown scheme",
-    '{"audio": "s3://me:hidden@b/c.wav"}': "holds credentials",
-    '{"audio": "https://h/c.wav?X-Amz-Signature=hidden"}': "holds credentials",
-    '{"audio": "https://h/c.wav#token=hidden"}': "holds credentials",
-    '{"audio": "a\\u0000b.wav"}': "holds a null byte",
-}
+MISTAKES = dict(table("manifest-mistakes.toml")["mistakes"])
 
 
 def test_all_mistakes_are_told_at_once_with_their_lines_and_nothing_is_rendered(tmp_path):

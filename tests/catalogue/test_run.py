@@ -16,6 +16,7 @@ from audioflinger_hook.catalogue.timing import StorageError
 from audioflinger_hook.exports.options import FORMATS
 from tests.support.catalogues import LOW_RATE, library, manifest, record, results, rows
 from tests.support.commands import call, noise, refused, sound, start, vibration
+from tests.support.data import table
 from tests.support.programs import printed
 
 
@@ -385,23 +386,7 @@ def test_the_report_is_one_page_with_a_picture_of_each_item(tmp_path):
     assert "silence" in done.stdout
 
 
-WRONG_USAGE = {
-    "": "--out",
-    "--out o --shard 0/3": "I from 1 to N",
-    "--out o --shard 4/3": "I from 1 to N",
-    "--out o --shard 1/2 --dask local": "cannot be used together",
-    "--out o --workers 0": "--workers=0",
-    "--out o --format mp3": "format 'mp3' is not known",
-    "--out o --output-rate 10": "output_rate_hz=10",
-    "--out o --retries -1": "--retries=-1",
-    "--out o --max-failures -1": "--max-failures=-1",
-    "--out missing/o": "is missing",
-    "--out IN": "name another",
-    "--out s3://key:password@bucket/o": "holds credentials",
-}
-
-
-@pytest.mark.parametrize(("options", "words"), WRONG_USAGE.items())
+@pytest.mark.parametrize(("options", "words"), table("wrong-usage.toml")["catalogue"])
 def test_wrong_usage_is_one_line(sounds, tmp_path, monkeypatch, options, words):
     monkeypatch.chdir(tmp_path)
     given = [sounds if option == "IN" else option for option in options.split()]

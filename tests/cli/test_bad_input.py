@@ -19,6 +19,7 @@ from audioflinger_hook.offline.render import render_file
 from device.errors import WriteError
 from tests.support import commands
 from tests.support.commands import RATE, call, cushion, noise, open_files, refused, sound, vibration
+from tests.support.data import table
 
 HEADER_BYTES = 44  # of a PCM_16 WAV file as libsndfile writes it
 
@@ -249,25 +250,7 @@ def test_a_reader_that_has_gone_is_no_error(arguments):
     assert (done.code, done.stderr) == (0, "")
 
 
-WRONG_USAGE = {
-    "play": "'play'",
-    "rendr a b": "did you mean render?",
-    "--loud": "--loud",
-    "render": "IN, OUT",
-    "render a.wav": "OUT",
-    "render a.wav b.wav c.wav": "c.wav",
-    "render a.wav b.wav --loud": "--loud",
-    "render a.wav b.wav --transform": "--transform",
-    "render a.wav b.wav --json=yes": "--json",
-    "inspect": "IN",
-    "inspect a.wav --at": "--at",
-    "inspect a.wav --unit 3": "--unit",
-    "check config.toml": "config.toml",
-    "demo --slow": "--slow",
-}
-
-
-@pytest.mark.parametrize(("line", "words"), WRONG_USAGE.items())
+@pytest.mark.parametrize(("line", "words"), table("wrong-usage.toml")["cushion"])
 def test_wrong_usage_is_answered_with_what_is_wrong_and_where_to_look(line, words):
     error = refused(call(*line.split()))
     assert words in error

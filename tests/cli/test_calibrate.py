@@ -13,6 +13,7 @@ from device.identification.recording import Sweep
 from device.identification.simulated_laboratory import SimulatedLaboratory
 from device.rig import PAPER, read_rig
 from tests.support.commands import call, document, noise, on_a_terminal, refused, sound
+from tests.support.data import table
 
 SHORT = Sweep(low_hz=15.0, high_hz=400.0, duration_s=2.0)
 
@@ -80,30 +81,8 @@ def test_on_a_seat_neither_force_factor_nor_mass_is_given():
     assert "cannot be identified on an elastic seat" in done.stderr
 
 
-HEARD = "sink:none --input source:none"
-ALONE = "--channels acceleration"
-REFUSED = [
-    ("sink:none", 2, "cushion never chooses an input itself"),
-    ("wav:a.wav", 3, "cannot be calibrated"),
-    (f"sink:none --input mic {ALONE}", 2, "allowed: source:NAME or hw:"),
-    (f"sink:none --input source: {ALONE}", 2, "input 'source:' is not known"),
-    (f"{HEARD} {ALONE} --level 0.5", 2, "only with --loud"),
-    (f"{HEARD} {ALONE} --share 0.1", 2, "only for twin"),
-    (f"{HEARD} --channels sound", 2, "'sound' is unknown"),
-    (f"{HEARD} --channels voltage", 2, "nothing can be identified"),
-    (f"{HEARD} {ALONE} --moving-mass-kg -1", 2, "weigh the moving part"),
-    (f"hw:none --input hw:none {ALONE}", 3, "no sound card"),
-    ("hw:none --input hw:none --channels -,acceleration", 3, "card"),
-    (f"{HEARD} --channels -,current,voltage --input-full-scale-v 1 --shunt-ohm 59", 2, "shunt=59"),
-    ("twin --level 0.9", 2, "--level is not for twin"),
-    ("twin --share 0.5", 2, "share=0.5 of Xmax must be"),
-    ("twin --rig consumer", 2, "describes no [accelerometer]"),
-    ("twin --low-hz 150 --high-hz 500", 2, "cushion: error: "),
-]
-
-
 @pytest.mark.sweep
-@pytest.mark.parametrize(("device", "code", "words"), REFUSED)
+@pytest.mark.parametrize(("device", "code", "words"), table("wrong-usage.toml")["calibrate"])
 def test_what_cannot_be_calibrated_is_one_line_and_no_file(tmp_path, device, code, words):
     path = tmp_path / "mine.toml"
     assert words in refused(call("calibrate", "--device", *device.split(), "--out", path), code)

@@ -20,6 +20,7 @@ from device.units import Float32Array
 from tests.daemon.test_run_recording import overlap, recorded, same_again
 from tests.support import commands
 from tests.support.commands import RATE, call, cushion, listing, noise, refused, sound, start, until
+from tests.support.data import table
 
 NO_SERVER = """
 import sys
@@ -196,32 +197,10 @@ def test_a_full_disk_is_the_end_of_a_file_and_of_the_run(tmp_path, folder):
     assert out.read_bytes() == b"old"
 
 
-NAMED = ("--config", "{}/names.toml")
-NO_NAMES = "channel front-left, but a file, a card itself or the twin has no such channel"
-
-
 @pytest.mark.sweep
 @pytest.mark.parametrize(
     ("tap", "device", "options", "code", "words"),
-    [
-        ("file:{}/none.wav", "twin", [], 2, "does not exist"),
-        ("file:{}/in.wav", "wav:{}/in.wav", [], 2, "name two files"),
-        ("file:{}/in.wav", "wav:{}/none/out.wav", [], 2, "does not exist"),
-        ("file:{}/in.wav", "wav:{}", [], 2, "it is a folder"),
-        ("capture:{}", "twin", [], 2, "is not a capture"),
-        ("capture:{}/cap", "wav:{}/cap/tap-0001.wav", [], 2, "name two files"),
-        ("scene:other", "twin", [], 2, "unknown scene"),
-        ("app:rule:a", "twin", [], 2, "the rule 'rule:a' for applications is invalid"),
-        ("scene:demo", "twin", ["--rig", "{}/none.toml"], 2, "cannot read the rig file"),
-        ("scene:demo", "twin", ["--protection", "some"], 2, "allowed: off, on"),
-        ("scene:demo", "hw:none", [], 3, "no sound card 'none'"),
-        ("scene:demo", "twin:x", [], 2, "twin has none"),
-        ("scene:demo", "twin", ["--record", "{}/cap"], 2, "not empty"),
-        ("scene:demo", "twin", ["--record", "{}/in.wav"], 2, "not a folder"),
-        ("scene:demo", "twin", ["--record", "{}/none/rec"], 2, "does not exist"),
-        ("scene:demo", "twin", ["--record", "/proc/rec"], 2, "cannot capture to /proc/rec"),
-        *(("scene:demo", to, NAMED, 2, NO_NAMES) for to in ("twin", "wav:{}/out.wav", "hw:0")),
-    ],
+    table("refused-runs.toml")["refused"],
 )
 def test_what_cannot_be_is_refused_and_nothing_is_touched(
     tmp_path, folder, monkeypatch, tap, device, options, code, words

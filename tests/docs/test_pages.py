@@ -23,6 +23,7 @@ from device.drive import ActuatorSettings
 from device.drive.settings import DELAY_MAX_MS, GAIN_MIN_DB
 from device.errors import UsageError
 from tests.support.commands import RATE, call, cushion, noise, sound, vibration
+from tests.support.data import table
 from tests.support.parameters import CHOICES, LIMITS
 from tests.support.signals import tone
 from tools.docs.__main__ import ROOT, outdated
@@ -255,32 +256,7 @@ def test_the_site_builds_without_warnings_and_fetches_nothing(tmp_path: Path) ->
 PAGE = (ROOT / "docs/errors.md").read_text()
 LINES = dict(re.findall(r'^\| <a id="([\w-]+)"></a>(.*) \| (?:\d|warning) \|$', PAGE, re.MULTILINE))
 
-CALLS: dict[str, tuple[object, ...]] = {
-    "a misspelt command": ("rnder",),
-    "an unknown option": ("status", "--quick"),
-    "no input": ("render",),
-    "a missing file": ("render", "missing.wav", "out.wav"),
-    "an output that is no WAV": ("render", "sound.wav", "out.mp3"),
-    "the standard output": ("render", "sound.wav", "-"),
-    "the same file": ("render", "sound.wav", "sound.wav"),
-    "a file that is no sound": ("render", "text.txt", "out.wav"),
-    "a time after the end": ("inspect", "sound.wav", "--at", "99"),
-    "an unknown profile": ("render", "sound.wav", "out.wav", "--profile", "cinem"),
-    "an unknown rig": ("render", "sound.wav", "out.wav", "--rig", "unknown"),
-    "a missing config file": ("render", "sound.wav", "out.wav", "--config", "missing.toml"),
-    "a folder that is no capture": ("replay", ".", "out.wav"),
-    "an unknown speed": ("replay", ".", "out.wav", "--speed", "2"),
-    "a tap without a name": ("run", "--device", "twin", "--tap", "file:"),
-    "a wrong USB device": ("run", "--device", "usb:12"),
-    "a folder that is not empty": ("capture", ".", "--tap", "scene:demo"),
-    "no daemon": ("status",),
-    "a level that is too high": ("test-tone", "--device", "sink:x", "--level", "2"),
-    "a calibration without input": ("calibrate", "--device", "sink:x"),
-    "too many workers": ("render", "sound.wav", "--out-dir", ".", "--workers", "9999"),
-    "an address that is none": ("monitor", "--listen", "here"),
-    "a rate out of range": ("monitor", "--rate", "0"),
-    "nothing to set": ("usb", "set", "usb:1234:5678"),
-}
+CALLS = table("wrong-calls.toml")
 
 TEXTS = [re.sub(r"\\([|*_])", r"\1", shown).replace("&lt;", "<") for shown in LINES.values()]
 PATTERNS = [

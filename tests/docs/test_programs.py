@@ -11,21 +11,12 @@ from typing import Any
 import pytest
 
 from tests.support.commands import RATE, sound
+from tests.support.data import table
 from tests.support.signals import tone
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples"
-SHOWN = {
-    "block_by_block": ("", r"48000 frames of sound, 48000 of vibration\nlatency 7\.3 ms"),
-    "compare_profiles": ("", r"paper +-\d.*\ncinema .*\ngame .*\nmusic "),
-    "export_formats": ("sound.wav exports", r"sound\.ahap: .*sound\.haptic: .*sound\.hjif: "),
-    "file_to_vibration": ("sound.wav out.wav", r"out\.wav: 1\.0 s, peak 0\.\d"),
-    "own_effect": ("", r"sound 0\.20, vibration 0\.(19|2\d)"),
-    "principal_frequencies": ("", r"220\.\d Hz.* 277\.\d Hz.* 329\.\d Hz"),
-    "replay_capture": ("folder out.wav", r"the same bits: True\nout\.wav: 48000 frames"),
-    "several_actuators": ("sound.wav out.wav", r"channel 2: peak 0\.00\nchannel 3: peak 0\.\d"),
-    "simulated_rig": ("", r"paper, 20 Hz: .*consumer, 160 Hz: \d"),
-}
+SHOWN = {name: rest for name, *rest in table("examples-show.toml")["shown"]}
 
 
 def test_every_program_of_the_examples_is_tested_and_in_the_table_of_the_page() -> None:

@@ -16,7 +16,7 @@ from audioflinger_hook.service.status import Application, Endpoint
 from device.server.graph import Graph
 from tests.doctor.test_findings import CASES, HEALTHY, SERVER, STATUS
 from tests.support.commands import call
-from tests.support.data import text
+from tests.support.data import table, text
 from tests.support.graphs import link, node, port
 from tests.support.snapshots import stream
 
@@ -25,19 +25,7 @@ PERSON = ("anna", "/home/anna", "annas-box")
 
 @pytest.mark.parametrize(
     "line",
-    [
-        "cannot read /home/anna/secret film.mkv: no such file",
-        "tap file:/media/secret.wav is missing",
-        "the stream 'secret' was left out",
-        'match = "secret" is no pattern',
-        "see ~/secret.toml",
-        "see ./secret.toml",
-        "/usr/bin/x by /home/anna/secret",
-        "PipeWire's 'secret' is muted",
-        "the stream 'it's secret' is muted",
-        "the tap app:secret film is missing",
-        "tap file:secret.wav is missing",
-    ],
+    table("report-lines.toml")["with_secrets"],
 )
 def test_paths_and_quoted_names_are_hidden(line: str) -> None:
     shown = anonymous(line, {"haptic"}, PERSON)
@@ -47,13 +35,7 @@ def test_paths_and_quoted_names_are_hidden(line: str) -> None:
 
 @pytest.mark.parametrize(
     "line",
-    [
-        "The output 'haptic' is muted.",
-        "       pw-metadata -n settings 0 clock.force-rate 0",
-        '       echo "$USER - rtprio 20" | sudo tee /etc/security/limits.d/cushion.conf',
-        "dropouts: tap 0, output 0 and/or",
-        "cannot read the file: no permission",
-    ],
+    table("report-lines.toml")["without"],
 )
 def test_what_a_helper_needs_stays(line: str) -> None:
     assert anonymous(line, {"haptic"}, PERSON) == line.replace('"$USER - rtprio 20"', HIDDEN)

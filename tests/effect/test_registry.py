@@ -13,7 +13,7 @@ from audioflinger_hook.effect.interface import EffectFlag, Parameter, VendorComm
 from audioflinger_hook.effect.registry import EffectLibrary, EffectRegistry, descriptor_problem
 from audioflinger_hook.effect.xml import SIZE_MAX, parse_effects, read_effects
 from device.errors import InternalError, NotFoundError, UsageError
-from tests.support.data import text
+from tests.support.data import table, text
 from tests.support.effects import ECHO_UUID, LIBRARY, Probe, descriptor
 
 HALVER_UUID = UUID("5d0a6a3e-95f9-4b6c-8f6e-0d6a5a4f0001")
@@ -225,17 +225,7 @@ def test_a_bad_element_is_left_out_with_what_needs_it_and_the_rest_counts(right,
 
 @pytest.mark.parametrize(
     ("right", "wrong", "line", "reason"),
-    [
-        ('<apply effect="haptic"/>', "<apply/>", 14, "<apply> has no effect"),
-        ('<apply effect="haptic"/>', '<apply effect="x"/>', 14, "effect='x' is an unknown effect"),
-        ('<apply effect="haptic"/>', '<apply effect="delay"/>', 14, "is applied twice"),
-        ('type="music"', 'type="musik"', 16, "type='musik' is an unknown stream"),
-        ('type="music"', "", 16, "<stream> has no type"),
-        ('version="2.0"', 'version="3.0"', 2, "version='3.0' is not 2.0"),
-        ('conf version="2.0"', "conf", 2, "version=None is not 2.0"),
-        ("<libraries>", "<libraries><x><library/></x>", 3, "<x> does not belong in <libraries>"),
-        ("<postprocess>", "<postprocess><apply/>", 11, "<apply> does not belong in <postprocess>"),
-    ],
+    table("audio-effects-mistakes.toml")["mistakes"],
 )
 def test_each_mistake_is_named_once_with_its_line(right, wrong, line, reason):
     declared = parse_effects(GOOD.replace(right, wrong, 1).encode(), REGISTRY)

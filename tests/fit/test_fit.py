@@ -23,6 +23,7 @@ from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.trials.record import Rows, TrialRecord, run
 from device.errors import UsageError, WriteError
 from tests.support.commands import call, document, refused, start
+from tests.support.data import table
 from tests.support.signals import tone
 from tests.support.trials import PLAYED, Answers, Player
 from tests.support.trials import person as person_of
@@ -167,18 +168,10 @@ def test_all_mistakes_of_a_sitter_are_said_at_once(state, person, facts, said):
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
-    [
-        (["--simulate", "nowhere.json"], "nowhere.json cannot be read"),
-        (["--minutes", "0"], "--minutes: '0' is not a duration"),
-        (["--simulate", "a", "--page"], "leave out --page"),
-        (["--show"], "no fit 'simulated'; none was found; make one"),
-        (["--show", "a"], "no fit 'a'"),
-        (["--undo", "../a"], "cannot be named"),
-        (["--page"], "no device is named: give one with --device"),
-    ],
+    table("wrong-usage.toml")["fit"],
 )
 def test_wrong_usage_is_refused_in_one_line(state, arguments, said):
-    assert said in refused(call("fit", *arguments))
+    assert said in refused(call("fit", *arguments.split()))
 
 
 def test_refused_answers_keep_the_old_fit_and_a_fit_can_be_undone(state, person, tmp_path):

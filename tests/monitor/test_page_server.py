@@ -17,7 +17,7 @@ from tests.monitor import stand_in
 from tests.monitor.stand_in import LIMIT_S, Page, Settings, daemon_socket, message, odd_daemon, page
 from tests.servers.listening import need, wait_for
 from tests.support.commands import RUN, call
-from tests.support.memory import resident_bytes
+from tests.support.costs import resident_bytes
 
 
 def test_a_browser_is_told_everything_and_the_last_of_its_values_wins(tmp_path):

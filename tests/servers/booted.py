@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from tests.servers.listening import wait_for
+from tests.support.data import text
 
 ROOT = Path(__file__).resolve().parents[2]
 INIT = Path("/lib/systemd/systemd")
@@ -42,67 +43,9 @@ environ = dict(container="cushion", PATH="/usr/sbin:/usr/bin:/sbin:/bin")
 os.execve("{INIT}", ["{INIT}", "--unit=booted.service"], environ)
 """
 
-# Arguments: a folder for the layer, the shared folder, then folders to read from.
-_BOOT = f"""
-trap 'exit {NO_CONTAINER}' EXIT
-mount -t tmpfs layer "$1"
-cd "$1"
-mkdir upper work new
-mount -t overlay -o lowerdir=/,upperdir=upper,workdir=work overlay new
-cd new
-mount -t proc proc proc
-mount --bind proc/sys proc/sys
-mount -o remount,bind,ro proc/sys
-mount -t sysfs -o ro sys sys
-mount -t cgroup2 cgroup sys/fs/cgroup
-mount -t tmpfs -o mode=755 dev dev
-for each in null zero full random urandom tty; do
-    touch dev/$each
-    mount --bind /dev/$each dev/$each
-done
-mkdir dev/pts dev/shm
-mount -t devpts -o newinstance,ptmxmode=0666,mode=620 devpts dev/pts
-ln -s pts/ptmx dev/ptmx
-ln -s /proc/self/fd dev/fd
-mount -t tmpfs shm dev/shm
-mount -t tmpfs -o mode=755 run run
-mount -t tmpfs -o mode=1777 tmp tmp
-shared=$2
-mkdir -p ".$shared"
-mount --bind "$shared" ".$shared"
-shift 2
-for each; do # these may lie on other file systems, and where only root may look
-    mkdir -p ".$each"
-    mount --bind -o ro "$each" ".$each"
-    while [ "$each" != / ]; do
-        each=$(dirname "$each")
-        chmod a+x ".$each"
-    done
-done
-rm -rf etc/systemd/system/*.wants etc/systemd/system/*.requires
-: >etc/fstab
-cp "$shared"/booted.service etc/systemd/system/
-mkdir old
-trap - EXIT
-exec {sys.executable} -c '{_PIVOT}'
-"""
+_BOOT = text("boot.sh")
 
-_SERVICE = """
-[Unit]
-Wants=dbus.socket systemd-logind.service systemd-user-sessions.service
-After=dbus.socket systemd-logind.service systemd-user-sessions.service
-SuccessAction=exit-force
-FailureAction=exit-force
-
-[Service]
-Type=oneshot
-WorkingDirectory={root}
-Environment=PYTHONPATH={root} LANG=C.UTF-8
-ExecStart={command}
-ExecStopPost=/bin/sh -c 'journalctl --no-pager >{shared}/journal'
-StandardOutput=append:{shared}/output
-StandardError=append:{shared}/output
-"""
+_SERVICE = text("booted.service")
 
 
 def _cgroups() -> Path | None:
@@ -145,6 +88,7 @@ def run(shared: Path, command: Sequence[str], limit_s: float) -> None:
         done = subprocess.run(
             ["unshare", "--pid", "--fork", "--kill-child", "/bin/sh", "-c", _ENTER, "enter"]
             + [str(each) for each in (cgroup, _BOOT, "boot", layer, shared, *needed)],
+            env=os.environ | {"PYTHON": sys.executable, "PIVOT": _PIVOT},
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,

@@ -12,21 +12,11 @@ from tests.servers.daemons import configured
 from tests.servers.listening import RATE_HZ, more
 from tests.servers.test_native import witnessed
 from tests.servers.witness import Heard, Verdict, tears
+from tests.support.data import table
 
 pytestmark = [pytest.mark.servers, pytest.mark.calm]
 
-CHANGES = (
-    'profile = "music"\n',
-    "gain_db = -6\n",
-    "[transform]\nloudness_db = 20\n",
-    "offset_ms = 30\n",
-    'profile = "game"\ngain_db = -3\n',
-    "[transform]\nthreshold_hz = 200\n",
-    'rig = "consumer"\ndamping = "auto"\n',
-    'rig = "consumer"\nprotection = "on"\n',
-    "[[actuator]]\nchannels = [0]\ngain_db = -6\n",
-    "",
-)
+CHANGES = table("live-changes.toml")["changes"]
 EVERY_S = 1.5  # 40 changes in a minute
 GAP = RATE_HZ // 200  # frames of 5 ms
 STEADY_HZ = 500.0  # a steady run has nothing above this

@@ -19,6 +19,7 @@ from device.units import Float32Array
 from tests.servers.daemons import Daemon, configured, cushion, felt_now, running
 from tests.servers.listening import RATE_HZ, noise, playing, recording, wait_for, wait_seconds
 from tests.servers.witness import Verdict, tears, witness_tone
+from tests.support.data import text
 from tools.beginnings import lost_cycles
 from tools.burst_latency import measured_here
 from tools.live_latency.bursts import burst_delays
@@ -28,19 +29,7 @@ from tools.usage import CARE
 
 pytestmark = [pytest.mark.servers, pytest.mark.calm]
 
-LIMITED = """protection = "on"
-[[actuator]]
-channels = [0]
-source = "left"
-rig = "consumer"
-damping = "auto"
-exposure_cap = "action"
-[[actuator]]
-channels = [1]
-source = "mix"
-gain_db = -6.0
-polarity = "inverted"
-"""
+LIMITED = text("two-limited.toml")
 """Two actuators: one that protection limits in every burst, one that only waits for it."""
 
 COMPARED_S = 2.5

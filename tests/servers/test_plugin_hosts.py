@@ -15,6 +15,7 @@ from tests.servers.daemons import ROOT, felt_now, tone
 from tests.servers.listening import need, playing, recording, wait_for
 from tests.support.commands import call
 from tests.support.commands import vibration as samples
+from tests.support.data import text
 
 pytestmark = pytest.mark.servers
 
@@ -135,19 +136,8 @@ def test_gstreamer_finds_the_plugin_and_gives_the_bytes_of_the_transform(home, s
 def test_alsa_plays_through_the_plugin(home, sound, monkeypatch):
     needs("aplay")
     folder = Path(cushion("plugin", "path")).parent
-    (home / ".asoundrc").write_text(
-        f"""pcm.vibration {{
-    type plug
-    slave.pcm {{
-        type ladspa
-        slave.pcm {{ type plug slave {{ pcm written format FLOAT_LE channels 2 rate 48000 }} }}
-        path "{folder}"
-        plugins [ {{ label haptic_cushion_cinema }} ]
-    }}
-}}
-pcm.written {{ type file slave.pcm "null" file "{home / "vibration.raw"}" format raw }}
-"""
-    )
+    rc = text("asoundrc").format(folder=folder, written=home / "vibration.raw")
+    (home / ".asoundrc").write_text(rc)
     soundfile.write(home / "short.wav", samples(sound), RATE_HZ, subtype="PCM_16")
     ran("aplay", "-q", "-D", "vibration", home / "short.wav")
     got = np.fromfile(home / "vibration.raw", np.float32).reshape(-1, 2)[:, 0]

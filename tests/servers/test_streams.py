@@ -19,7 +19,7 @@ from device.units import Float32Array
 from tests.servers import listening
 from tests.servers.witness import Verdict
 from tests.support.commands import open_files
-from tests.support.memory import resident_bytes
+from tests.support.costs import resident_bytes
 from tools.sound_server_files import wireplumber_generation
 
 POSITIONS = {

@@ -7,6 +7,7 @@ import pytest
 
 from audioflinger_hook.study.records import columns
 from tests.support.commands import call, document
+from tests.support.data import table
 from tests.support.studies import QUESTIONS, TRUTHS, make_study
 from tests.support.trials import PLAYED
 
@@ -67,17 +68,7 @@ def test_who_rates_the_hidden_reference_low_is_excluded(tmp_path):
 
 @pytest.mark.parametrize(
     ("content", "words"),
-    [
-        ("[]", "not a JSON object"),
-        ("{", "people.json"),
-        ('{"peeple": 3}', "peeple"),
-        ('{"people": 0}', "bigger than or equal to 1"),
-        ('{"people": 30}', "smaller than or equal to 20"),
-        ('{"questions": {"no": {}}}', "{'no'}"),
-        ('{"questions": {"preference": {"worths": 1}}}', "{'worths'}"),
-        ('{"questions": {"preference": {"worth": {"d": 1}}}}', "{'d'}"),
-        ('{"questions": {"preference": {"lapse": 2}}}', "smaller than or equal to 1"),
-    ],
+    table("people-mistakes.toml")["mistakes"],
 )
 def test_a_mistake_in_the_simulated_people_is_told(tmp_path, content, words):
     make_study(tmp_path, "preference")

@@ -1,24 +1,26 @@
-"""A session loses no recorded trial and repeats none; a changed design is another study."""
+"""A session: trials are balanced, none is lost or repeated; a changed design is another study."""
 
 import json
 import random
 import re
 import subprocess
+from collections import Counter
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from audioflinger_hook.study.design import load
 from audioflinger_hook.study.people import People
-from audioflinger_hook.study.session import Participant, Script
+from audioflinger_hook.study.session import Participant, Script, session
 from audioflinger_hook.study.stimuli import Stimuli
 from audioflinger_hook.trials.player import NotPlayedError
 from audioflinger_hook.trials.record import TrialRecord, run
 from device.errors import WriteError
 from tests.support.commands import call, start
-from tests.support.studies import QUESTIONS, TRUTHS, make_study
+from tests.support.studies import QUESTIONS, TRUTHS, changed, make_study
 from tests.support.trials import PLAYED, Answers, Player, person
 
 KILLS = 20
@@ -169,3 +171,51 @@ def test_a_person_hears_again_waits_for_the_device_and_answers_each_trial_once(t
     kinds = {q["kind"] for q in answers.asked if q["choices"] or q["kind"] == "slider"}
     assert kinds == {"choice", "slider", "one of", "text"}
     assert all(len(row["vibration_sha256_1"]) == 64 for row in rows)
+
+
+def conditions(row):
+    return tuple(row[key] for key in ("condition_1", "condition_2") if key in row)
+
+
+@pytest.mark.parametrize("participant", range(4))
+@pytest.mark.parametrize("repeats", [2, 4, 6, 10])
+@pytest.mark.parametrize("paradigm", ["preference", "synchrony", "threshold", "equal"])
+def test_each_condition_is_first_in_half_and_each_answer_left_in_half_of_the_trials(
+    tmp_path, paradigm, repeats, participant
+):
+    design = changed(make_study(tmp_path, paradigm), paradigm, repeats=repeats)
+    question = design.questions[paradigm]
+    trials = session(design, participant)
+    kinds: dict[object, list[dict[str, Any]]] = {}
+    for row in trials:
+        if not row["practice"]:
+            key = row["stimulus"], frozenset(conditions(row)), row["varied"]
+            kinds.setdefault(key, []).append(row)
+    assert len(kinds) == len(question.pairs) * 2 * len(question.delays)
+    for of_kind in kinds.values():
+        assert len(of_kind) == repeats
+        left = Counter(row["choices"][0] for row in of_kind)
+        assert list(left.values()) == [repeats / 2] * 2
+        if len(conditions(of_kind[0])) == 2:
+            first = Counter(row["condition_1"] for row in of_kind)
+            assert list(first.values()) == [repeats / 2] * 2
+            if repeats % 4 == 0:
+                both = Counter((row["condition_1"], row["choices"][0]) for row in of_kind)
+                assert list(both.values()) == [repeats / 4] * 4
+
+
+def test_sessions_differ_between_participants_and_are_the_same_each_time(tmp_path):
+    design = make_study(tmp_path, *QUESTIONS)
+    sessions = [session(design, participant) for participant in (0, 1, 6, 0)]
+    assert sessions[0] == sessions[3]
+    orders = [[(r["question"], r["stimulus"], conditions(r)) for r in one] for one in sessions[:3]]
+    assert orders[0] != orders[1]
+    assert orders[0] != orders[2]
+    assert [row["trial"] for row in sessions[1]] == list(range(1, len(sessions[1]) + 1))
+    first = [session(design, k)[0]["question"] for k in range(len(QUESTIONS))]
+    assert sorted(first) == sorted(QUESTIONS)  # each question comes first equally often
+
+
+def test_ratings_hide_the_reference_and_the_anchor_among_the_conditions(tmp_path):
+    trials = session(make_study(tmp_path, "rating", more="practice = 0"), 0)
+    assert Counter(map(conditions, trials)) == {("a", name): 4 for name in "abc"}

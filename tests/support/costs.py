@@ -1,6 +1,8 @@
-"""What work costs, in a unit that travels: a limit in seconds would say how busy the machine is."""
+"""What work costs; times in a unit that travels: seconds would say how busy the machine is."""
 
 import time
+
+import psutil
 
 from tools.bench.cost import rfft_unit_s
 
@@ -15,3 +17,8 @@ def cost_ffts(work):
     work()
     spent_s = time.process_time() - start_s
     return spent_s / max(before_s, rfft_unit_s())
+
+
+def resident_bytes(pid: int | None = None) -> int:
+    """Return the memory that a process occupies now, by default this one."""
+    return int(psutil.Process(pid).memory_info().rss)

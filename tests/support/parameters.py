@@ -1,5 +1,6 @@
 from audioflinger_hook.transform import TransformParameters
 from device.values import Choice, Number
+from tests.support.data import text
 
 LIMITS = {
     name: described
@@ -11,12 +12,4 @@ CHOICES = {
     for name, described in TransformParameters.DESCRIPTIONS.items()
     if isinstance(described, Choice)
 }
-TWO_SHAKERS = """\
-[[actuator]]
-source = "left"
-channels = [0]
-
-[[actuator]]
-source = "right"
-channels = [1]
-"""
+TWO_SHAKERS = text("two-shakers.toml")

@@ -15,7 +15,7 @@ from device.rig import PAPER
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.co_energy import Energies, energies
 from device.rig.parameters import Model
-from tests.support.memory import resident_bytes
+from tests.support.costs import resident_bytes
 from tests.support.random_rigs import SWEEP_S, found_of, identified
 from tools import soak_record
 from tools.bench.machine import cpu_model

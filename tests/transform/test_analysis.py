@@ -22,15 +22,8 @@ if probes is None:
 PARAMETERS = TransformParameters()
 SAMPLERATES = (1_000, 8_000, 44_100, 48_000, 192_000)
 KINDS = (
-    "noise",
-    "faint noise",
-    "low noise",
-    "tones",
-    "two tones",
-    "square",
-    "sweep",
-    "clicks",
-    "DC",
+    *("noise", "faint noise", "low noise", "tones", "two tones"),
+    *("square", "sweep", "clicks", "DC"),
 )
 SMALL = Spectrum.of(TransformParameters(window_s=0.01), 2_000)
 """Bins of 50 Hz, 21 of them: a spectrum that can be written down."""

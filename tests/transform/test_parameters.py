@@ -13,6 +13,7 @@ from audioflinger_hook.transform import HapticTransform, TransformParameters
 from audioflinger_hook.transform.parameters import check_format
 from device.errors import UsageError
 from tests.support import signals
+from tests.support.data import table
 from tests.support.parameters import CHOICES, LIMITS
 
 NAMES = [field.name for field in fields(TransformParameters)]
@@ -171,15 +172,7 @@ def test_all_that_is_allowed_works_or_is_refused_as_wrong_usage(
 
 @pytest.mark.parametrize(
     ("samplerate", "channels", "refusal"),
-    [
-        (999, 2, r"samplerate=999 Hz .*1000 to 768000 Hz; resample"),
-        (768_001, 2, r"samplerate=768001 Hz .*1000 to 768000 Hz; resample"),
-        (-1, 2, r"samplerate=-1 Hz "),
-        (48_000, 0, r"channels=0 .*1 to 64; mix"),
-        (48_000, 65, r"channels=65 .*1 to 64; mix"),
-        (48_000, -1, r"channels=-1 "),
-        (8, 65, r"samplerate=8 .*channels=65 "),
-    ],
+    table("unsupported-formats.toml")["refused"],
 )
 def test_an_unsupported_format_is_refused_with_limits_and_a_way_out(samplerate, channels, refusal):
     for check in (check_format, HapticTransform):

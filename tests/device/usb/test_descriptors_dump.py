@@ -14,7 +14,7 @@ from device.usb import descriptors
 from device.usb.descriptors import DescriptorError, parse_configuration, parse_dump, parse_whole
 from device.usb.descriptors.dump import parse_hex
 from tests.support import usb_builder as usb
-from tests.support.data import DATA, text
+from tests.support.data import DATA, table, text
 from tests.support.usb_shapes import SHAPES
 
 OLD = text("lsusb-old.txt")
@@ -107,19 +107,7 @@ def test_a_dump_gives_the_bytes_that_it_shows(dump):
 
 @pytest.mark.parametrize(
     ("text", "reason"),
-    [
-        ("", "hex dump: it has no bytes; needed: two hexadecimal digits a byte"),
-        ("# nothing\n", "it has no bytes"),
-        ("09 02\n09 0", "hex dump, line 2: '0' is no byte; needed: two hexadecimal digits a byte"),
-        ("09 0g", "line 1: '0g' is no byte"),
-        ("/* 1\n2 */\nzz", "line 3: 'zz' is no byte"),
-        ("00000000: 0902\n00000010: 0904", "0x10 instead of 0x2; bytes before it are missing"),
-        ("00000000: 0902\n00000001: 0904", "bytes before it are too many"),
-        ("00000000  09 02\n*\n00000010", "line 2: '*' marks omitted lines"),
-        ("00000000  09 02\n00000010", "line 2: the address is 0x10 instead of 0x2"),
-        ("0000000 0209 006d", "shows swapped bytes; use od -t x1"),
-        ("0000009 02 03", "line 1: '0000009' is not an octal address"),
-    ],
+    table("hex-mistakes.toml")["mistakes"],
 )
 def test_what_is_no_dump_is_refused_with_its_line(text, reason):
     with pytest.raises(DescriptorError) as caught:
