@@ -18,7 +18,7 @@
 set -eu
 
 case ${1-} in
-    run) wanted=figures,live,page ;;
+    run) wanted=figures,live,page,study ;;
     test) wanted=figures,live,page,tray,films,remote,cluster,dev ;;
     docs) wanted=figures,live,page,tray,films,remote,cluster,dev,docs ;;
     s3) wanted=figures,live,page,tray,films,remote,cluster,dev,docs,s3,dev-s3 ;; # docs: one set-up for both

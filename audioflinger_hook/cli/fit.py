@@ -12,7 +12,7 @@ from dataclasses import asdict
 from datetime import datetime
 from functools import partial
 
-from audioflinger_hook.cli.terminal import pressed_keys
+from audioflinger_hook.cli.terminal import pressed_keys, warn
 from audioflinger_hook.config import fits
 from audioflinger_hook.config.toml_text import json_object
 from audioflinger_hook.fit import PROTOCOL_TEXT
@@ -20,7 +20,7 @@ from audioflinger_hook.fit.curve import HZ
 from audioflinger_hook.fit.session import FitSession, FittedPerson, SimulatedSitter, Sitter
 from audioflinger_hook.transform.design.strength import FIT_BOOST_DB
 from audioflinger_hook.trials.page import PageAnswers, screen
-from audioflinger_hook.trials.person import Person, TerminalAnswers
+from audioflinger_hook.trials.person import NO_RIG, Person, TerminalAnswers
 from audioflinger_hook.trials.player import opened
 from audioflinger_hook.trials.record import TrialRecord, design_digest
 from audioflinger_hook.trials.record import run as answered
@@ -47,6 +47,9 @@ def run(options: argparse.Namespace) -> int:
 def _fit(options: argparse.Namespace, stack: ExitStack) -> None:
     if options.simulate and (options.page or options.device):
         raise UsageError("--simulate answers itself; leave out --page and --device")
+    if not 1.0 <= options.minutes <= 3.0 or (options.seed or 0) < 0:
+        told = f"minutes={options.minutes:g} or seed={options.seed} is out of range"
+        raise UsageError(f"{told}; allowed: 1 to 3 minutes, and seeds of 0 or more")
     sitter: Sitter
     if options.simulate:
         values, what = json_object(options.simulate), f"the sitter {options.simulate}"
@@ -54,12 +57,14 @@ def _fit(options: argparse.Namespace, stack: ExitStack) -> None:
     else:
         daemon = stack.enter_context(opened(options.device or "", time.monotonic))
         device = daemon.status().device.address
+        if daemon.status().exposure is None:
+            warn(NO_RIG)
     name = options.name or fits.default_name(device)
     path = fits.path_of(name).with_suffix(".jsonl")
     if options.new:
         path.unlink(missing_ok=True)
     design = design_digest({"protocol": PROTOCOL_TEXT, "for": device or repr(sitter)})
-    seed = secrets.randbits(32) if options.seed is None else options.seed % 2**32
+    seed = secrets.randbits(32) if options.seed is None else options.seed
     record = stack.enter_context(TrialRecord(path, design, header={"seed": seed}))
     if resumed := len(record.trials):
         told = f"going on after {counted(resumed, 'answers')}; --new begins again"

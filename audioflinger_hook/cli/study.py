@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import sys
 import time
 from contextlib import ExitStack, closing
 from datetime import UTC, datetime
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import soundfile
 
-from audioflinger_hook.cli.terminal import complain, progress_bar
+from audioflinger_hook.cli.terminal import complain, progress_bar, warn
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.study import records, report
 from audioflinger_hook.study.design import BUILT_IN, DESIGN, Design, MistakesError, load
@@ -19,7 +20,7 @@ from audioflinger_hook.study.people import load_people, power
 from audioflinger_hook.study.session import Participant, Script, session
 from audioflinger_hook.study.stimuli import Stimuli
 from audioflinger_hook.trials.page import PageAnswers, screen
-from audioflinger_hook.trials.person import Person
+from audioflinger_hook.trials.person import NO_RIG, Person
 from audioflinger_hook.trials.player import opened
 from audioflinger_hook.trials.record import run as run_session
 from device.atomic_file import write_bytes_atomically
@@ -45,6 +46,10 @@ def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
+def _tell(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
 def _new(options: argparse.Namespace) -> None:
     folder = options.folder
     try:
@@ -64,7 +69,7 @@ def _new(options: argparse.Namespace) -> None:
 def _check(options: argparse.Namespace) -> None:
     design = load(options.folder)
     Stimuli(design)  # tells its mistakes
-    records.register(design, _now())
+    records.register(design, _now(), _tell)
     trials, minutes, found = len(session(design, 0)), round(60.0 * design.hours, 1), {}
     for name in design.questions:
         with progress_bar(f"power of {name}") as progress:
@@ -79,13 +84,15 @@ def _check(options: argparse.Namespace) -> None:
         if share is not None:
             few = "" if share >= study.power else f", under the wanted {study.power:g}"
             print(f"power of {name}: {share:.2f}{few} (100 simulated studies)")
-    print(f"SHA-256 of {DESIGN}, now registered: {design.digest}; publish it to preregister")
+    print(f"SHA-256 of {DESIGN}: {design.digest}")
 
 
 def _run(options: argparse.Namespace) -> None:
     design = load(options.folder)
     stimuli = Stimuli(design)
-    records.register(design, _now())
+    records.register(design, _now(), _tell)
+    if options.simulate and (options.participant or options.device):
+        raise UsageError("--simulate answers itself; leave out --participant and --device")
     if options.simulate:
         _simulate(design, options.simulate)
     else:
@@ -118,20 +125,25 @@ def _live(design: Design, stimuli: Stimuli, options: argparse.Namespace) -> None
         number = record.header["number"]
         total = len(session(design, number))
         participant = Participant(Person(player, answers), stimuli, total)
-        if not record.trials and participant.read("Consent", design.study.consent, *AGREES) == "no":
+        if player.status().exposure is None:
+            warn(NO_RIG)
+        if record.trials:
+            participant.pause()
+        elif participant.read("Consent", design.study.consent, *AGREES) == "no":
             raise UsageError(f"participant {code} did not agree; no trial was played")
         script = Script(design, number)
         try:
             list(run_session(record, script, participant.answer, participant.pause))
         finally:
-            print(f"{len(record.trials)} of {total} trials are recorded; the same command goes on")
+            if (done := len(record.trials)) < total:
+                print(f"{done} of {total} trials are recorded; the same command goes on")
         answers.show(THANKS)
     print(f"participant {code} has finished")
 
 
 def _report(options: argparse.Namespace) -> None:
     design = load(options.folder)
-    registered = records.register(design, _now())["registered"]
+    registered = records.register(design, _now(), _tell)["registered"]
     document = report.as_document(design, registered)
     if options.json:
         print(json.dumps(document, indent=2))

@@ -142,7 +142,8 @@ class _Reading:
         if chosen.get("strength") == "fit":
             try:
                 device = self.accepted[LiveSettings].get("device")
-                name = chosen.get("fit") or fits.default_name(device)
+                if not (name := chosen.get("fit") or (device and fits.default_name(device))):
+                    raise UsageError("no fit is named, and the config has no device")
                 chosen["fit"] = curve_text(fits.read(name).curve_db)
             except UsageError as error:
                 self._add("transform.strength", Refusal(f"cannot be used ({error})", "felt, flat"))

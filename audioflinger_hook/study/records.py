@@ -4,7 +4,7 @@ import csv
 import io
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from hashlib import sha256
 from itertools import product
 from os.path import relpath
@@ -23,8 +23,8 @@ DATA, TABLE, CODEBOOK, PREREGISTRATION = "data", "trials.csv", "codebook.md", "p
 UNFINISHED = "did not finish"
 
 
-def register(design: Design, now: str) -> dict[str, Any]:
-    """Return the preregistration: SHA-256 of all files of the design; write it if it is new.
+def register(design: Design, now: str, tell: Callable[[str], object]) -> dict[str, Any]:
+    """Return the preregistration: SHA-256 of all files of the design; write and tell a new one.
 
     now: time in UTC. UsageError: a file has changed since the first participant.
     """
@@ -46,6 +46,8 @@ def register(design: Design, now: str) -> dict[str, Any]:
             f"without {DATA} and {PREREGISTRATION}: a changed design is another study"
         )
     if changed:
+        earlier = " in place of an earlier one" if path.exists() else ""
+        tell(f"this design is now registered{earlier}; publish its SHA-256 to preregister")
         found = {"sha256": sums, "version": __version__, "registered": now}
         write_bytes_atomically(path, f"{json.dumps(found, indent=2)}\n".encode())
     return found

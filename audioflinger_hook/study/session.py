@@ -114,8 +114,9 @@ class Participant:
         kind, title = question.kind, question.ask or question.kind["ask"]
         about = {"done": row["trial"] - 1, "total": self._total, "practice": row["practice"]}
         labels = [LABELS.get(choice, Path(choice).stem.capitalize()) for choice in row["choices"]]
-        numbers = map(str, range(1, 1 + len(labels)))
-        choices = [*zip(row["choices"], labels, numbers, strict=True)]
+        order = kind["choices"] or row["choices"]  # an answer has one key on either side
+        keys = [str(1 + order.index(choice)) for choice in row["choices"]]
+        choices = [*zip(row["choices"], labels, keys, strict=True)]
         more = {"choices": choices, "also": [AGAIN], "labels": kind.get("labels", ())}
         titles = [*LABELS.values()] if len(made) > 1 else [title]
         shown = [screen("playing", name, **about) for name in titles]

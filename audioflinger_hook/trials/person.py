@@ -10,6 +10,7 @@ from device.drive.exposure import ACTION_A8_M_S2, ACTION_VDV
 from device.errors import UsageError
 
 DEVICE_S = 1.0  # between two looks whether a lost device is back
+NO_RIG = "exposure is not measured, so it ends no session: set rig in the config"
 EXPOSURE_SHARE = 0.5  # of an action value of 2002/44/EC, which trials may use
 
 Interval = tuple[Frames, Frames, Screen]  # sound, vibration, and the screen while they play
