@@ -61,11 +61,10 @@ def _fit(options: argparse.Namespace, stack: ExitStack) -> None:
             warn(NO_RIG)
     name = options.name or fits.default_name(device)
     path = fits.path_of(name).with_suffix(".jsonl")
-    if options.new:
-        path.unlink(missing_ok=True)
     design = design_digest({"protocol": PROTOCOL_TEXT, "for": device or repr(sitter)})
     seed = secrets.randbits(32) if options.seed is None else options.seed
-    record = stack.enter_context(TrialRecord(path, design, header={"seed": seed}))
+    fresh = options.new
+    record = stack.enter_context(TrialRecord(path, design, header={"seed": seed}, fresh=fresh))
     if resumed := len(record.trials):
         told = f"going on after {counted(resumed, 'answers')}; --new begins again"
         print(told, file=sys.stderr, flush=True)
@@ -76,8 +75,7 @@ def _fit(options: argparse.Namespace, stack: ExitStack) -> None:
             answers = stack.enter_context(closing(PageAnswers(daemon.stop, tell, time.time)))
         else:
             answers = TerminalAnswers(stack.enter_context(pressed_keys()))
-        known = record.trials[-1]["reference_dbfs"] if resumed else None
-        sitter = FittedPerson(Person(daemon, answers), known)
+        sitter = FittedPerson(Person(daemon, answers))
     session = FitSession(sitter, record.header["seed"], int(20 * options.minutes))
     for _ in answered(record, session, sitter.answer):
         pass

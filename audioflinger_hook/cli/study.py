@@ -2,13 +2,13 @@
 
 import argparse
 import json
-import sys
 import time
 from contextlib import ExitStack, closing
 from datetime import UTC, datetime
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import soundfile
 
@@ -46,8 +46,8 @@ def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def _tell(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+def _registered(options: argparse.Namespace, design: Design) -> dict[str, Any]:
+    return records.register(design, _now(), (lambda _: None) if options.json else print)
 
 
 def _new(options: argparse.Namespace) -> None:
@@ -69,7 +69,7 @@ def _new(options: argparse.Namespace) -> None:
 def _check(options: argparse.Namespace) -> None:
     design = load(options.folder)
     Stimuli(design)  # tells its mistakes
-    records.register(design, _now(), _tell)
+    _registered(options, design)
     trials, minutes, found = len(session(design, 0)), round(60.0 * design.hours, 1), {}
     for name in design.questions:
         with progress_bar(f"power of {name}") as progress:
@@ -90,7 +90,7 @@ def _check(options: argparse.Namespace) -> None:
 def _run(options: argparse.Namespace) -> None:
     design = load(options.folder)
     stimuli = Stimuli(design)
-    records.register(design, _now(), _tell)
+    _registered(options, design)
     if options.simulate and (options.participant or options.device):
         raise UsageError("--simulate answers itself; leave out --participant and --device")
     if options.simulate:
@@ -143,7 +143,7 @@ def _live(design: Design, stimuli: Stimuli, options: argparse.Namespace) -> None
 
 def _report(options: argparse.Namespace) -> None:
     design = load(options.folder)
-    registered = records.register(design, _now(), _tell)["registered"]
+    registered = _registered(options, design)["registered"]
     document = report.as_document(design, registered)
     if options.json:
         print(json.dumps(document, indent=2))

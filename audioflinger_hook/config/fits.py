@@ -44,7 +44,7 @@ def checked(kind: type[T], values: Mapping[str, Any], what: str) -> T:
 
 def default_name(device: str | None) -> str:
     """Return the name of a device's fit. device: None stands for a simulated one."""
-    return re.sub(r"[^\w.+-]", "-", str(parse_device(device)) if device else "simulated")
+    return re.sub(r"[^\w.+-]", "-", str(parse_device(device)) if device else "simulated")[:100]
 
 
 def names() -> list[str]:

@@ -50,12 +50,11 @@ class SimulatedSitter(Described):
 
 
 class FittedPerson:
-    """A person, who first raises the level of the reference if `reference_dbfs` is None."""
+    """A person, who first raises the level of the reference, also after an interruption."""
 
-    def __init__(self, person: Person, reference_dbfs: float | None = None) -> None:
-        self._person, said = person, ""
-        self.reference_dbfs = P.start_dbfs if reference_dbfs is None else reference_dbfs
-        while reference_dbfs is None and said != "good":
+    def __init__(self, person: Person) -> None:
+        self._person, said, self.reference_dbfs = person, "", P.start_dbfs
+        while said != "good":
             level_db = self.reference_dbfs + P.step_db.get(said, 0.0)
             self.reference_dbfs = min(max(P.start_dbfs, level_db), P.most_dbfs)
             self._is_whole(person.play(None, tones((P.reference_hz, self.reference_dbfs)), FEEL))

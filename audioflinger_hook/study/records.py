@@ -61,8 +61,10 @@ def records(design: Design) -> dict[str, TrialRecord]:
     found = {}
     for path in sorted((design.folder / DATA).glob("*.jsonl")):
         if b"\n" in path.read_bytes():  # kill -9 may leave an empty file
-            with TrialRecord(path, design.digest) as found[path.stem]:
-                pass
+            with TrialRecord(path, design.digest) as record:
+                found[path.stem] = record
+            if not {"number", "simulated", "begun"} <= record.header.keys():
+                raise UsageError(f"the record {path} is damaged (its first line); move it away")
     return found
 
 

@@ -48,7 +48,7 @@ class Stimuli:
     """
 
     def __init__(self, design: Design) -> None:
-        self.design, self._interval, mistakes = design, lru_cache(64)(self._make), list[str]()
+        self.design, self._interval, mistakes = design, lru_cache(4)(self._make), list[str]()
         questions = design.questions.values()
         delays_ms = [abs(one.delay_ms) for one in design.conditions.values()]
         offsets_ms = [abs(delay_ms) for one in questions for delay_ms in one.delays]
@@ -67,6 +67,10 @@ class Stimuli:
                     raise UsageError(f"{told}; reduce level_db, gain_db or highest_db")
             except UsageError as error:
                 mistakes.append(str(error))
+        for name, sound in self._sounds.items():
+            if (peak := np.abs(self._masked(sound)).max()) > 1.0:
+                over = f"exceeds full scale by {amplitude_to_db(peak):.1f} dB; reduce masking_db"
+                mistakes.append(f"{name!r} with the masking noise {over}")
         if mistakes:
             raise MistakesError(*mistakes)
 
@@ -94,14 +98,18 @@ class Stimuli:
             "vibration_sha256": sha256(vibration.tobytes()).hexdigest(),
             "weighted_db": amplitude_to_db(level) if level > 0.0 else None,
         }
-        padded = np.pad(sound * heard, ((self._pad, self._pad), (0, 0)))
+        is_silent = not heard and study.masking_db is None
+        return Interval(None if is_silent else self._masked(sound * heard), vibration, columns)
+
+    def _masked(self, sound: Float32Array) -> Float32Array:
+        """Return a sound with the silence around, and with the masking noise."""
+        padded, study = np.pad(sound, ((self._pad, self._pad), (0, 0))), self.design.study
         if study.masking_db is not None:
             noise = np.random.default_rng(study.seed).standard_normal(len(padded))
             hz = np.fft.rfftfreq(len(padded), 1.0 / RATE_HZ)
             pink = irfft(rfft(noise) / np.sqrt(np.maximum(hz, 20.0)), len(padded))
             padded += (db_to_amplitude(study.masking_db) / _rms(pink) * pink)[:, None]
-        is_silent = not heard and study.masking_db is None
-        return Interval(None if is_silent else padded, vibration, columns)
+        return padded
 
     def _unit(self, stimulus: str, name: str) -> FloatArray:
         """Return a vibration of the level 1, (frames,); without vibration, zeros."""

@@ -1,6 +1,7 @@
 """Asks a person questions on a page, `/trial` of the live page's server, in this process."""
 
 import asyncio
+import math
 import os
 import queue
 import threading
@@ -153,7 +154,9 @@ class PageAnswers:
                 told = "the session was stopped on the page; all answers are kept"
                 self._ended = StoppedError(told)
                 self._change({"paused": True})
-            case {"number": number, "value": value, "after_s": float(s) | int(s), "pauses": int(n)}:
+            case {
+                "number": number, "value": value, "after_s": float(s) | int(s), "pauses": int(n)
+            } if math.isfinite(s):  # fmt: skip
                 is_known = value in [one[0] for one in (*now["choices"], *now["also"])]
                 is_slid = now["kind"] == "slider" and type(value) in (int, float)
                 if number != now["number"] or not (is_known or (is_slid and 0 <= value <= 100)):

@@ -57,6 +57,7 @@ class Person:
         sound, vibration: as for `DaemonPlayer.play`. shown: screen while they play.
         """
         while True:
+            self._player.may_play()  # before the look for a pause, so that no later one is lost
             self.answers.wait()
             felt = self._player.status().exposure
             if felt and max(felt.a8_m_s2 / ACTION_A8_M_S2, felt.vdv / ACTION_VDV) >= EXPOSURE_SHARE:

@@ -77,6 +77,7 @@ class DaemonPlayer:
         self._stream: TrialStream | None = None
         self._trial: Trial | None = None
         self._playing, self._closed = threading.Lock(), threading.Event()
+        self._stops = threading.Event()
 
     def status(self) -> Status:
         """Return the daemon's status."""
@@ -95,7 +96,11 @@ class DaemonPlayer:
             readings, before, lost = [self._look()], self.status().exposure, self.why_not
             lead_s, later_s = (readings[0].get(name, 0.0) for name in ("lead_s", "felt_s"))
             trial = self._trial = Trial(frames, lead_s)
+            if self._stops.is_set():
+                trial.stops = True
             late_s = self._clock() + len(frames) / RATE_HZ + abs(lead_s) + LATE_S
+            if self._stream is not None and sound is not None:
+                lost = lost or self._stream.why_silent
             if self._stream is not None and not lost:
                 self._stream.play(trial)
             try:
@@ -117,9 +122,14 @@ class DaemonPlayer:
             return Played(heard_s, felt_s, seconds, stopped, *levels, *exposure)
 
     def stop(self) -> None:
-        """End the trial that plays with a fade of 50 ms. Any thread; without a trial, nothing."""
+        """End this trial with a fade of 50 ms, and each one before `may_play`. Any thread."""
+        self._stops.set()
         if self._trial is not None:
             self._trial.stops = True
+
+    def may_play(self) -> None:
+        """Forget earlier stops."""
+        self._stops.clear()
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until a trial can be played; return whether it can. `why_not` says why not."""

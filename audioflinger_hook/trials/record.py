@@ -39,12 +39,18 @@ class TrialRecord(Rows, AbstractContextManager["TrialRecord"]):
     """An append-only file of trials, which one process may have open.
 
     Its first line is the header {"design": SHA-256, ...}. Half a line, which kill -9 leaves, is
-    removed. design: `design_digest`. header: further entries of a new file's header. UsageError:
+    removed. design: `design_digest`. header: further entries of a new file's header. fresh: whether
+    earlier trials are dropped. UsageError:
     the file is damaged, of another design, in use, or cannot be opened. WriteError: disk full.
     """
 
     def __init__(
-        self, path: Path, design: str = "", *, header: Mapping[str, Any] | None = None
+        self,
+        path: Path,
+        design: str = "",
+        *,
+        header: Mapping[str, Any] | None = None,
+        fresh: bool = False,
     ) -> None:
         super().__init__({"design": design, **(header or {})})
         self.path, self._length = path, 0
@@ -60,7 +66,7 @@ class TrialRecord(Rows, AbstractContextManager["TrialRecord"]):
         except OSError as error:
             raise UsageError(f"cannot open the record {path}: {write_reason(error)}") from error
         try:
-            self._read(design)
+            self._read(design, b"" if fresh else self._file.read())
         except BaseException:
             self.close()
             raise
@@ -77,8 +83,7 @@ class TrialRecord(Rows, AbstractContextManager["TrialRecord"]):
     def __exit__(self, *_error: object) -> None:
         self.close()
 
-    def _read(self, design: str) -> None:
-        content = self._file.read()
+    def _read(self, design: str, content: bytes) -> None:
         self._length = content.rfind(b"\n") + 1
         self._file.truncate(self._length)
         if not self._length:
@@ -93,7 +98,7 @@ class TrialRecord(Rows, AbstractContextManager["TrialRecord"]):
         if (found := self.header.get("design")) != design:
             raise UsageError(
                 f"the record {self.path} belongs to another design (SHA-256 {str(found)[:12]}, "
-                f"now {design[:12]}); restore that design, or begin a new record"
+                f"now {design[:12]}); restore that design, or begin a new record (fit: --new)"
             )
 
     def _write(self, row: Mapping[str, Any]) -> None:

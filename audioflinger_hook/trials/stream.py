@@ -67,8 +67,8 @@ class Trial:
 class TrialStream:
     """Sink, links and stream of trials until `close`; implements `Wiring`.
 
-    pcm: plays the stream. device: name of the haptic sink. LostError, NotFoundError: the server was
-    lost, or cannot play trials. UsageError: another program plays trials, or nothing can be heard.
+    pcm: plays the stream. device: name of the haptic sink. why_silent: why sound is not heard, or
+    "". LostError, NotFoundError: the server was lost. UsageError: another program plays trials.
     """
 
     def __init__(self, pcm: Pcm, device: str | None) -> None:
@@ -77,10 +77,10 @@ class TrialStream:
         self._stream: PlaybackStream | None = None
         with ExitStack() as stack:
             self._connection = stack.enter_context(closing(PulseConnection()))
-            self._heard = self._connection.latest.default_sink or ""
-            if self._heard in ("", device):
-                where = self._heard or "no sink"
-                raise UsageError(f"the sound would go to {where}; choose another output")
+            self._heard, where = self._connection.latest.default_sink, ""
+            if self._heard in (None, device):
+                where = f"the sound would go to {self._heard or 'no sink'}; choose another output"
+            self.why_silent = where
             looks = 0
             while self._connection.snapshot().sink(TRIALS):
                 if (looks := looks + 1) > GONE_LOOKS:
@@ -104,7 +104,7 @@ class TrialStream:
         with self._watch.lock:
             self._watch.keeper.update(now_s)
             wanted = self._of_sound(self._watch.graph)
-            is_linked = bool(wanted) and not self._watch.keeper.missing(wanted)
+            is_linked = bool(wanted or self.why_silent) and not self._watch.keeper.missing(wanted)
         if stream is None and is_linked and self._connection.latest.sink(TRIALS):
             self._pcm.target = ServerDevice(TRIALS)
             stream = self._stream = PlaybackStream(
@@ -141,7 +141,7 @@ class TrialStream:
         return self._of_sound(graph) | made  # by the session manager and the daemon
 
     def _of_sound(self, graph: Graph) -> Set[LinkPair]:
-        node, sink = graph.sink(TRIALS), graph.sink(self._heard)
+        node, sink = graph.sink(TRIALS), None if self.why_silent else graph.sink(self._heard or "")
         outputs = graph.ports_of(node.id, MONITOR) if node else {}
         inputs = graph.ports_of(sink.id, PLAYBACK) if sink else {}
         return {

@@ -202,7 +202,8 @@ def test_strength_fit_changes_a_render_by_the_curve(profile, state, person, tmp_
     parameters, levels_db = parameters_of(profile), {}
     sound, out, config = (tmp_path / name for name in ("in.wav", "out.wav", "config.toml"))
     for strength in ("flat", "fit"):
-        config.write_text(f'profile = "{profile}"\n[transform]\nstrength = "{strength}"\n')
+        fit = 'fit = "simulated"'
+        config.write_text(f'profile = "{profile}"\n[transform]\nstrength = "{strength}"\n{fit}\n')
         for hz in (25.5, 50.0, 70.0, 110.4, 200.0):
             heard_hz = VibrationMapping.of(parameters).audio_hz(hz)
             soundfile.write(sound, tone(heard_hz, 3.0, RATE_HZ, 0.1), RATE_HZ, "FLOAT")

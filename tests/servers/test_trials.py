@@ -181,6 +181,18 @@ def test_a_killed_program_ends_its_trial_and_the_tapped_sound_is_felt_again(pipe
         assert "trials" not in pipewire.pactl("list", "short", "sinks")
 
 
+def test_an_earlier_stop_counts_and_only_trials_with_sound_need_an_output(pipewire, long, noise):
+    with running(pipewire, engine="native"), player_of() as player:
+        assert player.wait(10.0)
+        player.stop()
+        assert player.play(None, long).stopped
+        player.may_play()
+        assert not player.play(None, noise).stopped
+        pipewire.choose_default("haptic")
+        with pytest.raises(NotPlayedError, match="choose another default sink"):
+            player.play(noise, noise)
+
+
 def test_tapped_sound_is_not_felt_during_a_session_and_felt_after_it(pipewire, tmp_path):
     with (
         playing(pipewire, "desktop", tone(110.0, 60.0)),

@@ -206,7 +206,7 @@ def test_other_last_bits_of_a_library_give_the_same_design(samplerate, monkeypat
     monkeypatch.setattr(filters, "np", SimpleNamespace(**vars(np)))
     for name in ("cos", "sin", "exp", "log", "interp"):
         monkeypatch.setattr(np, name, off(getattr(np, name)))
-    monkeypatch.setattr("audioflinger_hook.transform.design.synthesis.low_pass", filter_off)
+    monkeypatch.setattr("audioflinger_hook.transform.filters.low_pass", filter_off)
     for name, design in designs.items():
         again = _designed.__wrapped__(parameters_of(name), samplerate, True)
         assert again is not design
