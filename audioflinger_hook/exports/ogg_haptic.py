@@ -33,12 +33,7 @@ class OggHapticOutput(WrappedOutput):
     """
 
     def __init__(
-        self,
-        path: Path,
-        samplerate: int,
-        file_rate: int,
-        audio_channels: int,
-        haptic_channels: int,
+        self, path: Path, samplerate: int, file_rate: int, audio_channels: int, haptic_channels: int
     ) -> None:
         if audio_channels > AUDIO_CHANNELS_MAX:
             raise UsageError(

@@ -5,7 +5,7 @@
 
 import json
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
@@ -23,7 +23,7 @@ from audioflinger_hook.config.toml_text import Mistake, printable
 from audioflinger_hook.transform import HapticTransform
 from audioflinger_hook.trials.record import design_digest
 from device.errors import UsageError, not_installed
-from device.values import nearest
+from device.values import nearest, no_such
 
 DESIGN, HOURS_MAX, SOUND_S = "design.toml", 8.0, (0.1, 100.0)
 GAP_S = 0.4  # silence between the two intervals of a trial
@@ -35,10 +35,10 @@ for _table in (CONDITION, QUESTION):
 PARADIGMS: dict[str, dict[str, Any]] = tomllib.loads((BUILT_IN / "paradigms.toml").read_text())
 DRAFT = "http://json-schema.org/draft-04/schema#"  # in later drafts, 2.0 is an integer
 NONE = "none"
-METHODS = BASELINES | {
+METHODS: dict[str, Callable[[int, int], Any] | None] = {NONE: None, **BASELINES} | {
     name: partial(HapticTransform, parameters=parameters_of(name)) for name in PROFILES
 }
-"""What computes vibration from sound: called with the sample rate and the number of channels."""
+"""What computes vibration from sound: called with the rate and the channels; None: nothing."""
 
 
 class MistakesError(UsageError):
@@ -97,8 +97,8 @@ class Design:
 
 def vibration_file(folder: Path, method: str, stimulus: str) -> Path | None:
     """Return the file that a condition's method names for a sound, None if it computes."""
-    is_file = method not in (NONE, *METHODS)
-    return folder / method.replace("{stimulus}", Path(stimulus).stem) if is_file else None
+    made = method.replace("{stimulus}", Path(stimulus).stem)
+    return folder / made if {".", "/"} & {*method} else None
 
 
 def seconds(path: Path) -> float:
@@ -115,6 +115,8 @@ def load(folder: Path) -> Design:
         raise UsageError(f"{folder} has no {DESIGN}; make it: `cushion study new {folder}`")
     content = toml_text.text_of(folder / DESIGN)
     (document, mistakes), lines = toml_text.parse(content), toml_text.lines_of_keys(content)
+    if mistakes:  # after an error of syntax, other mistakes are often false
+        raise MistakesError(mistakes[0])
     tables: dict[str, Any] = {table: document.pop(table, None) for table in (CONDITION, QUESTION)}
     for table, rows in tables.items():
         if not (isinstance(rows, list) and rows and all(isinstance(row, dict) for row in rows)):
@@ -124,11 +126,13 @@ def load(folder: Path) -> Design:
     methods = {str(row.get("name")): str(row.get("method")) for row in tables[CONDITION]}
     made: dict[str, dict[str, Any]] = {}
     for table, rows in {STUDY: [document], **tables}.items():
-        keys, made[table] = SCHEMAS[table]["properties"], {}
+        made[table] = {}
         for number, row in enumerate(rows, 1):
-            found = list(_problems(SCHEMAS[table], row, methods, folder))
-            if [one.get("name") for one in rows].count(row.get("name", ())) > 1:
-                found.append(("name", "is a duplicate", ""))
+            own = PARADIGMS.get(str(row.get("paradigm")), {}).get("keys", {})
+            keys = {key: v | own.get(key, {}) for key, v in SCHEMAS[table]["properties"].items()}
+            found = list(_problems(SCHEMAS[table] | {"properties": keys}, row, methods, folder))
+            if row.get("name", ()) in [one.get("name") for one in rows[: number - 1]]:
+                found.append(("name", f"is a duplicate: an earlier [[{table}]] has this name", ""))
             for key, problem, meant in found:
                 path = printable(key if table == STUDY else f"{table}[{number}].{key}")
                 line = lines.get(path) or lines.get(path.rpartition(".")[0]) or 0
@@ -157,10 +161,10 @@ def _problems(
     keys, good = schema["properties"], dict[str, Any]()
     for key in row.keys() - keys.keys():
         yield key, "is an unknown key", nearest(key, keys)
-    paradigm = PARADIGMS.get(str(row.get("paradigm")), {"keys": {}, "hidden": ()})
+    paradigm = PARADIGMS.get(str(row.get("paradigm")), {"hidden": ()})
     more: dict[str, Any] = {"conditions": {"items": {"enum": [*methods]}}}
     for key, about in keys.items():
-        wanted = about | more.get(key, {}) | paradigm["keys"].get(key, {})
+        wanted = about | more.get(key, {})
         if key in row and (problem := why_not(wanted, row[key])):
             words = about.get("examples") or wanted.get("enum", ())
             yield key, problem, nearest(str(row[key]), words)
@@ -187,23 +191,30 @@ def people_schema(paradigm: Mapping[str, Any], conditions: Sequence[str]) -> dic
     properties = {}
     for key, (low, high) in known.items():
         number = {"type": "number", "minimum": low, "maximum": high}
-        by_name = {"properties": dict.fromkeys(conditions, number), "additionalProperties": False}
+        by_name = {"properties": dict.fromkeys(conditions, number), "description": "condition"}
         properties[key] = number | by_name | {"type": ["number", "object"]}
-    return {"type": "object", "properties": properties, "additionalProperties": False}
+    return {"type": "object", "properties": properties, "description": "parameter"}
 
 
-def why_not(schema: dict[str, Any], value: object) -> str:
-    """Return why a JSON Schema refuses a value, or ""."""
+def why_not(schema: Mapping[str, Any], value: object, *at: str) -> str:
+    """Return why a JSON Schema refuses a value, part by part, or "". at: keys that lead to it."""
+    where, known = f"{'.'.join(at)}: " if at else "", schema.get("properties")
+    if known and isinstance(value, dict):
+        kind, unknown = schema["description"], [key for key in value if key not in known]
+        wrong = [where + no_such(kind, key, known, "") for key in unknown]
+        wrong += [why_not(known[key], value[key], *at, key) for key in value if key in known]
+        return "; ".join(filter(None, wrong))
     try:
         import fastjsonschema
-    except ModuleNotFoundError as error:
-        raise UsageError(not_installed(str(error.name), "study")) from error
-    try:
+
         json.dumps(value, allow_nan=False)
         fastjsonschema.compile({"$schema": DRAFT, **schema})(value)
+    except ModuleNotFoundError as error:
+        raise UsageError(not_installed(str(error.name), "study")) from error
     except fastjsonschema.JsonSchemaValueException as error:
-        why = str(error.message).removeprefix(str(error.name))
-        return f"{'.'.join(map(str, error.path[1:]))}{why}".strip()
+        told = str(error.message).removeprefix(f"{error.name} ")
+        item = f"has {error.value!r}, which " if error.value is not value else ""
+        return f"{where}{item}{'is unknown' if error.rule == 'pattern' else told}"
     except (TypeError, ValueError) as error:  # a date, or a number that is not finite
-        return f"is wrong ({error})"
+        return f"{where}is wrong ({error})"
     return ""

@@ -68,15 +68,15 @@ class People:
 def load_people(path: Path, design: Design) -> tuple[People, int]:
     """Return the people of a JSON file, and their number. UsageError: it has a mistake."""
     schema = json.loads((BUILT_IN / "people.schema.json").read_text())
-    most = design.study.participants
-    schema["properties"]["people"] |= {"maximum": most, "default": most}
+    schema["properties"]["people"]["maximum"] = most = design.study.participants
     for name, question in design.questions.items():
         own = people_schema(question.kind, question.conditions)
         schema["properties"]["questions"]["properties"][name] = own
     document = json_object(path)
-    if problem := why_not(schema, document):  # which also adds the defaults
+    if problem := why_not(schema, document):
         raise UsageError(f"{path}: {problem}; see docs/study.md")
-    return People(design, document["questions"], document["seed"]), document["people"]
+    people = People(design, document.get("questions", {}), document.get("seed", 1))
+    return people, document.get("people", most)
 
 
 def simulated_study(people: People, name: str, count: int) -> Measured:

@@ -15,14 +15,7 @@ import numpy as np
 from scipy.fft import irfft, rfft
 from scipy.signal import freqz_sos, sosfilt
 
-from audioflinger_hook.study.design import (
-    GAP_S,
-    METHODS,
-    NONE,
-    Design,
-    MistakesError,
-    vibration_file,
-)
+from audioflinger_hook.study.design import GAP_S, METHODS, Design, MistakesError, vibration_file
 from audioflinger_hook.trials.player import mixed
 from audioflinger_hook.trials.stream import RATE_HZ
 from device.drive.exposure import wk_sections
@@ -114,17 +107,17 @@ class Stimuli:
     def _unit(self, stimulus: str, name: str) -> FloatArray:
         """Return a vibration of the level 1, (frames,); without vibration, zeros."""
         method, sound = self.design.conditions[name].method, self._sounds[stimulus]
-        if method == NONE:
-            return np.zeros(len(sound))
         if path := vibration_file(self.design.folder, method, stimulus):
             found = mixed(None, path)[:, 2].astype(float)
             if abs(len(found) - len(sound)) > 0.001 * RATE_HZ:
                 lengths = f"{len(found) / RATE_HZ:.3f} s, the sound {len(sound) / RATE_HZ:.3f} s"
                 raise UsageError(f"{path} lasts {lengths}; make both equal")
-        else:
-            stream = METHODS[method](RATE_HZ, 2)
+        elif make := METHODS[method]:
+            stream = make(RATE_HZ, 2)
             whole = np.concatenate((stream.process(sound), stream.finish()))[:, 0]
             found = whole[stream.latency_frames :]
+        else:
+            return np.zeros(len(sound))
         if _rms(found) < SILENT:
             told = f"condition {name!r} gives no vibration for {stimulus!r}"
             raise UsageError(f"{told}; leave one of them out of the question")

@@ -123,6 +123,18 @@ def test_a_mistake_is_told_with_its_key(tmp_path, old, new, key, words):
     assert any(told == key and words in text for told, text in found), found
 
 
+def test_only_a_later_name_is_a_duplicate(tmp_path):
+    found = changed(tmp_path, ('name = "b"', 'name = "a"'))
+    assert [key for key, text in found if "duplicate" in text] == ["condition[2].name"]
+
+
+@pytest.mark.parametrize("broken", ['title = "t', "title = t", 'title = """t"'])
+def test_beside_an_error_of_syntax_no_other_mistake_is_told(tmp_path, broken):
+    found = changed(tmp_path, ('title = "t"', broken))
+    assert all("is not TOML" in text for _, text in found), found
+    assert len(found) == 1
+
+
 def test_each_paradigm_has_a_design_without_mistakes(tmp_path):
     assert changed(tmp_path, paradigms=list(QUESTIONS)) == []
 

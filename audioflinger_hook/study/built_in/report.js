@@ -8,6 +8,18 @@ const TESTED = { // what the score of a participant is, whose mean a t test comp
   preference: "The first condition against all others", rating: "The first condition against the others", synchrony: "PSS against 0",
   threshold: "The first condition against the others", equal: "Equal strength against 0 dB", identification: "Right answers against guessing",
 };
+const INTERVALS = ["The 95 % intervals come from a bootstrap over participants, with 2 000 draws and expanded percentiles (Hesterberg 2015). " +
+  "The bootstrap's bias is subtracted from the estimate."];
+const METHODS = { // what the estimates of each paradigm mean
+  preference: ["Log odds are worths of a Bradley-Terry model, relative to the mean of all conditions: " +
+    "a difference of 0.7 means that the better of two conditions is chosen in two of three comparisons."],
+  rating: ["Ratings go from 0 to 100."],
+  synchrony: ["PSS (point of subjective simultaneity) is the delay of the vibration that seems simultaneous. JND (just noticeable difference) " +
+    "is the distance from it at which half of the answers change: delays beyond are noticed."],
+  threshold: ["The level is that of 75 % right answers, relative to the level of the design.", "JND is the standard deviation of the decision noise."],
+  equal: ["The level is the gain that makes a condition as strong as the reference.", "JND is the standard deviation of the decision noise."],
+  identification: ["Bits are the mutual information of sound and answer: 0 if people guess, and 1 if they always tell two halves of the sounds apart."],
+};
 const LEFT = 8, RIGHT = 14, ROW = 42, BOTTOM = 44, HEIGHT = 190;
 
 function made(space, name, attributes, children) {
@@ -25,6 +37,8 @@ function number(value, unit = "") {
   const text = value.toFixed(["ms", "dB", "of 100"].includes(unit) ? 1 : 2);
   return text.replace(Number(text) ? "" : "-", "").replace("-", "−");
 }
+/** A count with its noun: "1 participant", "2 participants". */
+const counted = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
 const chance = (p) => (p < 0.001 ? "p\u00a0<\u00a00.001" : `p\u00a0=\u00a0${p.toFixed(3)}`);
 
 /** Round values for an axis, about five of them between low and high. */
@@ -81,7 +95,7 @@ function estimates(name, unit, rows) {
     shapes.push(shape("circle", { class: "estimate", cx: place(one.value), cy: y, r: 5 }));
   });
   const people = rows[0][1].people.length ? " Small dots: participants." : "";
-  return figure(bottom + BOTTOM, `estimates of ${name}`, `Dot: estimate. Line: 95 % interval.${people}`, shapes);
+  return figure(bottom + BOTTOM, `estimates of ${name}`, `Dot: estimate.${rows[0][1].low === null ? "" : " Line: 95 % interval."}${people}`, shapes);
 }
 
 /** Shares of counted answers at each delay or level. */
@@ -124,11 +138,11 @@ function question([name, one]) {
     ...Object.entries(one.confusion ?? {}).map(([condition, shares]) => confusion(condition, one.sounds, shares))];
   const cells = rows.map(([label, { value, low, high }], i) => {
     const unit = units[Math.floor(i / size)];
-    return [label, number(value, unit), `${number(low, unit)} to ${number(high, unit)}`];
+    return [label, number(value, unit), low === null ? "none" : `${number(low, unit)} to ${number(high, unit)}`];
   });
   return element("section", {},
-    element("h3", {}, `${name} `, element("small", {}, `${one.paradigm}, ${one.participants} participants`)),
-    one.participants < FEW ? element("p", { class: "note" }, "With so few people, the intervals are too short.") : "",
+    element("h3", {}, `${name} `, element("small", {}, `${one.paradigm}, ${counted(one.participants, "participant")}`)),
+    one.participants < FEW ? element("p", { class: "note" }, one.participants === 1 ? "Intervals and p need two or more participants." : "With so few people, the intervals are too short.") : "",
     element("div", { class: "result" }, element("div", {}, drawn), element("div", {},
       table([one.unit, "estimate", "95 % interval"], cells, `estimates of ${name}`),
       one.p === null ? "" : element("p", {}, `${TESTED[one.paradigm]}: ${chance(one.p)}`))));
@@ -138,18 +152,17 @@ const { wanted, began } = report.participants, excluded = Object.entries(report.
 const questions = Object.entries(report.questions);
 const isPlanned = ([, one]) => report.registered !== null && !one.exploratory;
 const some = (found) => (found.length ? found.map(question) : [element("p", {}, "There is none.")]);
+const methods = new Set(["Estimates are means over participants, or functions of such means.", ...questions.flatMap(([, one]) => [
+  ...(one.participants > 1 ? INTERVALS : []), ...METHODS[one.paradigm], ...(one.p === null ? [] : ["A t test over participants gives p."])])]);
 main.append(
   report.simulated ? element("p", { class: "simulated" }, "SIMULATED: no person took part") : "",
-  element("p", {}, `${began} of ${wanted} participants began, and ${began - excluded.length} are analysed. The design `,
+  element("p", {}, `${began} of ${counted(wanted, "participant")} began, and ${began - excluded.length} ${began - excluded.length === 1 ? "is" : "are"} analysed. The design `,
     report.registered ? `was registered on ${report.registered.replace("T", " ").replace("+00:00", " UTC")}, before the first of them began.` : "was not registered before the first of them began."),
   excluded.length ? table(["excluded", "reason"], excluded, "excluded participants", "words") : "",
   element("h2", {}, "Preregistered"), ...some(questions.filter(isPlanned)),
   element("h2", {}, "Exploratory"), ...some(questions.filter((one) => !isPlanned(one))),
   element("h2", {}, "Methods"),
-  element("p", {}, "Estimates are means over participants, or functions of such means. The 95 % intervals come from a bootstrap over participants, " +
-    "with 2 000 draws and expanded percentiles (Hesterberg 2015). The bootstrap's bias is subtracted from the estimate. Log odds are worths of a " +
-    "Bradley-Terry model, relative to the mean of all conditions. PSS is the delay of the vibration that seems simultaneous. JND is the distance " +
-    "from it at which half of the answers change: delays beyond are noticed. A t test over participants gives p. Bits are the mutual information of sound and answer."),
+  element("p", {}, [...methods].join(" ")),
   element("h2", {}, "Data and versions"),
   table(["what", "version"], Object.entries(report.versions).map(([name, value]) => [name, element("code", {}, value)]), "data and versions", "words"),
 );
