@@ -7,20 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.core import library_path
-from audioflinger_hook.core.structures import (
-    GLIDE_COLUMNS,
-    STRUCTURES,
-    Controls,
-    Info,
-    Readings,
-    Sound,
-)
+from audioflinger_hook.core import library_path, structures
 from device.errors import InternalError, NotFoundError
 from device.extension import refuse_cut_off
 from device.units import Float32Array, FloatArray
 
-GLIDE_NUMBERS = len(GLIDE_COLUMNS)
+GLIDE_NUMBERS = len(structures.GLIDE_COLUMNS)
 LONG_FRAMES = 8_192  # blocks of files; meanwhile other threads may run
 
 _address = ctypes.c_void_p
@@ -28,11 +20,11 @@ _Nothing = ctypes.c_char * 0
 
 # Return type and argument types of each function in core.h.
 _FUNCTIONS: dict[str, Any] = {
-    "check": (c_char_p, (_address, c_size_t, POINTER(Info))),
+    "check": (c_char_p, (_address, c_size_t, POINTER(structures.Info))),
     "open": (_address, (_address, c_size_t, _address)),
     "reset": (None, (_address, c_int)),
-    "process": (None, (_address, _address, Sound, _address, c_size_t, _address)),
-    "vibrate": (None, (_address, Sound, _address, c_size_t, _address)),
+    "process": (None, (_address, _address, structures.Sound, _address, c_size_t, _address)),
+    "vibrate": (None, (_address, structures.Sound, _address, c_size_t, _address)),
     "state": (c_size_t, (_address, _address, c_size_t)),
     "set_state": (c_int, (_address, _address, c_size_t)),
     "glides_max": (c_size_t, (_address, c_size_t)),
@@ -49,7 +41,7 @@ def library() -> ctypes.PyDLL:
     try:
         refuse_cut_off(path)
         found = ctypes.PyDLL(str(path))  # does not release the GIL during a call
-        sizes = tuple((c_uint64 * len(STRUCTURES)).in_dll(found, "core_sizes"))
+        sizes = tuple((c_uint64 * len(structures.STRUCTURES)).in_dll(found, "core_sizes"))
         for name, (returned, taken) in _FUNCTIONS.items():
             function = getattr(found, f"core_{name}")
             function.restype, function.argtypes = returned, taken
@@ -57,7 +49,7 @@ def library() -> ctypes.PyDLL:
         raise NotFoundError(f"the compiled core cannot be loaded: {error}") from error
     except AttributeError:  # a function is missing
         sizes = ()
-    if sizes != tuple(map(ctypes.sizeof, STRUCTURES)):
+    if sizes != tuple(map(ctypes.sizeof, structures.STRUCTURES)):
         raise NotFoundError(f"{path} is of another version; run `make run`")
     return found
 
@@ -81,7 +73,11 @@ class Core:
     def __init__(self, design: bytes) -> None:
         self._library = library()
         self._design = np.frombuffer(design, np.uint8).copy()  # aligned to 16 bytes
-        self.info, self.controls, self.readings = Info(), Controls(sound_gain=1.0), Readings()
+        self.info, self.controls, self.readings = (
+            structures.Info(),
+            structures.Controls(sound_gain=1.0),
+            structures.Readings(),
+        )
         place = self._design.ctypes.data
         misfit = self._library.core_check(place, len(design), self.info)
         if misfit:
@@ -111,7 +107,7 @@ class Core:
         vibrate(self._core, samples, _address_of(out), len(sound), self._readings)
         return out
 
-    def _samples(self, sound: Float32Array | FloatArray) -> Sound:
+    def _samples(self, sound: Float32Array | FloatArray) -> structures.Sound:
         if sound.ndim != 2 or sound.shape[1] != self.info.inputs:
             raise InternalError(
                 f"a block has shape {sound.shape}: (frames, {self.info.inputs}) was expected"
@@ -120,7 +116,7 @@ class Core:
             raise InternalError(
                 f"a block has samples of {sound.dtype}; allowed: aligned float32, float64"
             )
-        return Sound(_address_of(sound), *sound.strides, sound.dtype == np.float64)
+        return structures.Sound(_address_of(sound), *sound.strides, sound.dtype == np.float64)
 
     @property
     def state(self) -> bytes:
