@@ -42,10 +42,9 @@ class AtomicFile(AbstractContextManager["AtomicFile"]):
     block calls `commit` at its end, or `abort` after an exception. If `path` is a symbolic link,
     the target of the link is replaced. The new file gets the mode, owner and extended attributes of
     `model`, or else of the file that it replaces, as far as this user may set them. One thread at a
-    time may use the object.
-    UsageError: no file can be written at `path`, for example because its folder is missing.
-    WriteError: writing failed, for example because the disk is full. A method that raises
-    WriteError has already called `abort`.
+    time may use the object. UsageError: no file can be written at `path`, for example because its
+    folder is missing. WriteError: writing failed, for example because the disk is full. A method
+    that raises WriteError has already called `abort`.
     """
 
     def __init__(self, path: str | os.PathLike[str], model: Path | None = None) -> None:

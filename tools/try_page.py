@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from os import PathLike
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from audioflinger_hook.monitor.try_page import TYPES, page_files
+from audioflinger_hook.monitor.try_page import content_type, page_files
 
 OUT = Path(__file__).resolve().parents[1] / "out/site/try"
 PORT = 8766
@@ -19,7 +20,9 @@ PORT = 8766
 class Handler(SimpleHTTPRequestHandler):
     """Serves files of a folder with the media types of the page."""
 
-    extensions_map = {f".{ending}": kind for ending, kind in TYPES.items()}  # noqa: RUF012
+    def guess_type(self, path: str | PathLike[str]) -> str:
+        """Return the media type of a file."""
+        return content_type(Path(path).name)
 
     def log_message(self, *_: object) -> None:
         """Write no line for each request."""

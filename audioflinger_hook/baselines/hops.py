@@ -21,8 +21,7 @@ class SineBaseline(Baseline):
     change linearly to the values that `lead` returns. The latency is therefore one hop. Subclasses
     implement `lead`.
 
-    voices: number of sines.
-    overlap: number of hops in a window.
+    voices: number of sines. overlap: number of hops in a window.
     """
 
     def __init__(self, samplerate: int, channels: int, voices: int, overlap: int) -> None:

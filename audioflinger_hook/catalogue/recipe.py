@@ -21,11 +21,10 @@ VERSION = f"{TRANSFORM_VERSION}.2"  # increase it if results of equal input chan
 class Recipe:
     """Options that apply to all results of a run.
 
-    out: path or URL of the folder of the results.
-    track, language: sound track of films, for items without a value of their own.
-    verify: whether sounds are identified by SHA-256, not by path, size and time.
-    retry_died: whether to try again items that have ended their workers.
-    version: `VERSION` of the program that started the run.
+    out: path or URL of the folder of the results. track, language: sound track of films, for items
+    without a value of their own. verify: whether sounds are identified by SHA-256, not by path,
+    size and time. retry_died: whether to try again items that have ended their workers. version:
+    `VERSION` of the program that started the run.
     """
 
     out: str

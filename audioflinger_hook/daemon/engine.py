@@ -46,15 +46,14 @@ class Engine:
     Either the capture thread or the output thread calls `advance`, never both at the same time. The
     output thread calls `fill`. No thread waits for another. Any thread may read the attributes.
 
-    client: source of the sound; its format becomes the format of the mix.
-    offset_s: delay that the user adds. block_frames: block length of input and output.
-    bypass_late: whether to bypass an effect that uses too much CPU time.
-    on_step, on_mix: called in each cycle of `advance`. `on_mix` may keep only a copy of the sound.
-    last_sound_s: time of the latest cycle in which the mix was not silent.
-    faded: whether the latest peak of the vibration is below FADED.
-    sound, vibration: level meters of the mix, and of the vibration before the drive.
-    driven: level meters of the drive's outputs, one per actuator. mute: fades the output in or out.
-    before_fill: called before each read of the delay line. live: memory for the live page, or None.
+    client: source of the sound; its format becomes the format of the mix. offset_s: delay that the
+    user adds. block_frames: block length of input and output. bypass_late: whether to bypass an
+    effect that uses too much CPU time. on_step, on_mix: called in each cycle of `advance`. `on_mix`
+    may keep only a copy of the sound. last_sound_s: time of the latest cycle in which the mix was
+    not silent. faded: whether the latest peak of the vibration is below FADED. sound, vibration:
+    level meters of the mix, and of the vibration before the drive. driven: level meters of the
+    drive's outputs, one per actuator. mute: fades the output in or out. before_fill: called before
+    each read of the delay line. live: memory for the live page, or None.
     """
 
     def __init__(

@@ -25,10 +25,9 @@ KINDS: dict[type, tuple[type, ...]] = {bool: (bool,), int: (int,), float: (float
 class Parameter:
     """One parameter with its allowed values.
 
-    kind: `bool`, `int`, `float` or `str`.
-    low, high: inclusive range of a number in `unit`.
-    choices: allowed strings; if empty, all strings are allowed.
-    default: None for a read-only parameter.
+    kind: `bool`, `int`, `float` or `str`. low, high: inclusive range of a number in `unit`.
+    choices: allowed strings; if empty, all strings are allowed. default: None for a read-only
+    parameter.
     """
 
     name: str
@@ -144,9 +143,8 @@ class EffectDescriptor:
 
     The framework refuses parameters and vendor commands that are not listed here.
 
-    type_uuid: identifies the kind of effect; all implementations of this kind share it.
-    uuid: identifies this implementation.
-    cpu_load: computing load in 0.1 MIPS, as on Android.
+    type_uuid: identifies the kind of effect; all implementations of this kind share it. uuid:
+    identifies this implementation. cpu_load: computing load in 0.1 MIPS, as on Android.
     """
 
     type_uuid: UUID

@@ -23,11 +23,10 @@ FLAC_ANY_HZ, FLAC_STEP_HZ = 65_535, 10  # above, FLAC's frames hold only multipl
 class Format:
     """An export format.
 
-    suffixes: file name endings that select the format; the first is the default.
-    parametric: whether the file contains envelopes or partials instead of a waveform.
-    channels_max: largest number of channels of vibration.
-    rate_max_hz: highest sample rate of a waveform.
-    whole: whether the whole file is made in memory, so that the sound may last at most 1 hour.
+    suffixes: file name endings that select the format; the first is the default. parametric:
+    whether the file contains envelopes or partials instead of a waveform. channels_max: largest
+    number of channels of vibration. rate_max_hz: highest sample rate of a waveform. whole: whether
+    the whole file is made in memory, so that the sound may last at most 1 hour.
     """
 
     suffixes: tuple[str, ...]

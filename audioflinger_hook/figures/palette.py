@@ -41,8 +41,7 @@ def level_map() -> LinearSegmentedColormap:
 def indexed_png(rgba: NDArray[np.uint8], dots_per_inch: int, description: str = "") -> bytes:
     """Return an opaque picture `rgba` (height, width, 4) as a PNG with one byte per pixel.
 
-    Each pixel gets the nearest of 256 colours.
-    description: text for the PNG's "Description" chunk.
+    Each pixel gets the nearest of 256 colours. description: text for the PNG's "Description" chunk.
     """
     colours = [np.array(to_rgb(WHITE)), *level_map()(np.linspace(0.0, 1.0, _LEVELS))[:, :3]]
     for over, under, steps in _BLENDS:

@@ -45,13 +45,12 @@ def report_png(
 ) -> bytes:
     """Return the report as a PNG of 1600 x 1500 pixels.
 
-    All signals start at the same time. samplerate: Hz. Non-finite samples are drawn as 0.
-    audio: (frames, channels), full scale 1. vibration: (frames,), full scale 1.
-    acceleration_m_s2: (frames,).
-    principals: (time in s, audio frequency in Hz, vibration frequency in Hz, strength 0 to 1).
-    events: (start in s, end in s, label). facts: short texts for the line under the title.
-    description: text for the PNG's "Description" chunk; not drawn.
-    ValueError: an array has a wrong shape or type, or no frames, or samplerate is not above 0.
+    All signals start at the same time. samplerate: Hz. Non-finite samples are drawn as 0. audio:
+    (frames, channels), full scale 1. vibration: (frames,), full scale 1. acceleration_m_s2:
+    (frames,). principals: (time in s, audio frequency in Hz, vibration frequency in Hz, strength 0
+    to 1). events: (start in s, end in s, label). facts: short texts for the line under the title.
+    description: text for the PNG's "Description" chunk; not drawn. ValueError: an array has a wrong
+    shape or type, or no frames, or samplerate is not above 0.
     """
     audio = _checked("audio", audio, samplerate, dimensions=2)
     vibration = _checked("vibration", vibration, samplerate, dimensions=1)

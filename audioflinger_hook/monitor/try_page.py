@@ -10,6 +10,7 @@ import json
 from collections.abc import Callable
 from functools import cache, partial
 from importlib.resources import files
+from mimetypes import MimeTypes
 
 import numpy as np
 import soundfile
@@ -38,16 +39,6 @@ OWN = (
     "core.wasm",
 )
 OFFLINE = "offline.js"  # keeps the page in the browser
-TYPES = {
-    "css": "text/css; charset=utf-8",
-    "design": "application/octet-stream",
-    "html": "text/html; charset=utf-8",
-    "js": "text/javascript; charset=utf-8",
-    "svg": "image/svg+xml",
-    "wasm": "application/wasm",
-    "wav": "audio/wav",
-    "webmanifest": "application/manifest+json",
-}
 
 
 def page_files() -> dict[str, Callable[[], bytes]]:
@@ -65,7 +56,7 @@ def page_files() -> dict[str, Callable[[], bytes]]:
 
 def content_type(name: str) -> str:
     """Return the media type of a file of the page."""
-    return TYPES[name.rpartition(".")[2]]
+    return MimeTypes().guess_type(name)[0] or "application/octet-stream"
 
 
 def first_files() -> list[str]:

@@ -84,11 +84,10 @@ class SteadyTap:
 class PartTap(SteadyTap):
     """A section of another tap's sound, with all or some of its channels.
 
-    start_s: start of the section in seconds.
-    duration_s: length of the section in seconds, or None for the rest.
-    picked: channel numbers from 0; empty for all channels.
-    skipped: number of frames at the start of the sound that `tap` has already omitted.
-    UsageError: the sound ends before the section starts, or has no such channel.
+    start_s: start of the section in seconds. duration_s: length of the section in seconds, or None
+    for the rest. picked: channel numbers from 0; empty for all channels. skipped: number of frames
+    at the start of the sound that `tap` has already omitted. UsageError: the sound ends before the
+    section starts, or has no such channel.
     """
 
     def __init__(

@@ -101,16 +101,13 @@ class HapticTransform:
 
     Block sizes do not affect the vibration. Only one thread at a time may use the object.
 
-    samplerate: Hz, 1 000 to 768 000.
-    channels: number of channels of the sound, 1 to 64.
-    parameters: by default those of the paper.
-    form: "live" has low latency; "reference" follows the paper's equations exactly.
-    per_channel: whether each channel is transformed separately, instead of the mono mix of all.
-    weights: array (channels, outputs, 2) of the weights with which each channel is added to a left
-    and a right signal for each output. The mono mix of these two signals is transformed.
-    single: whether the caller rounds the vibration to float32. The reference form is then faster,
-    with the same rounded values.
-    channels_out: number of channels of the vibration.
+    samplerate: Hz, 1 000 to 768 000. channels: number of channels of the sound, 1 to 64.
+    parameters: by default those of the paper. form: "live" has low latency; "reference" follows the
+    paper's equations exactly. per_channel: whether each channel is transformed separately, instead
+    of the mono mix of all. weights: array (channels, outputs, 2) of the weights with which each
+    channel is added to a left and a right signal for each output. The mono mix of these two signals
+    is transformed. single: whether the caller rounds the vibration to float32. The reference form
+    is then faster, with the same rounded values. channels_out: number of channels of the vibration.
     UsageError: samplerate, channels or form are not supported, or `band_low_hz` is too high.
     NotFoundError: the live form needs the compiled core, which cannot be loaded.
     """

@@ -14,6 +14,7 @@ from device.atomic_file import make_private_folder, write_reason
 from device.errors import UsageError, WriteError
 
 Trial = TypeVar("Trial", covariant=True)
+Header = Mapping[str, Any] | None
 
 
 def design_digest(design: Mapping[str, Any] | bytes) -> str:
@@ -26,7 +27,7 @@ def design_digest(design: Mapping[str, Any] | bytes) -> str:
 class Rows:
     """The rows of a session, in memory. trials: in the order of answers. header: further facts."""
 
-    def __init__(self, header: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, header: Header = None) -> None:
         self.trials: list[dict[str, Any]] = []
         self.header: dict[str, Any] = {**(header or {})}
 
@@ -45,12 +46,7 @@ class TrialRecord(Rows, AbstractContextManager["TrialRecord"]):
     """
 
     def __init__(
-        self,
-        path: Path,
-        design: str = "",
-        *,
-        header: Mapping[str, Any] | None = None,
-        fresh: bool = False,
+        self, path: Path, design: str = "", *, header: Header = None, fresh: bool = False
     ) -> None:
         super().__init__({"design": design, **(header or {})})
         self.path, self._length = path, 0

@@ -55,12 +55,11 @@ class AdaptiveActuator:
 
     The voltage is linear between samples, and was 0 before the first sample. A fixed model gives
     bit-identical results however the signal is divided into calls. "auto" selects a model for each
-    block of 0.1 s since the start, or for the part of the block in one call.
-    tolerance: allowed error of excursion and acceleration relative to a block's peak, 0 to 1.
-    model: "auto", or a fixed model; a rig without [large_signal] is always linear. seat: whether
-    the actuator is on the rig's seat instead of solid ground. refine: number of halvings of the
-    non-linear step. UsageError: the rig lacks the wanted seat, a number is out of range, or the
-    library is missing.
+    block of 0.1 s since the start, or for the part of the block in one call. tolerance: allowed
+    error of excursion and acceleration relative to a block's peak, 0 to 1. model: "auto", or a
+    fixed model; a rig without [large_signal] is always linear. seat: whether the actuator is on the
+    rig's seat instead of solid ground. refine: number of halvings of the non-linear step.
+    UsageError: the rig lacks the wanted seat, a number is out of range, or the library is missing.
     """
 
     def __init__(

@@ -41,10 +41,9 @@ class PcmConfig:
     Make this object before PortAudio and other threads start: the constructor changes the
     environment of the process. It removes PULSE_LATENCY_MSEC, which would block the output, and
     prevents the start of a JACK server. The user's properties in PULSE_PROP are kept. Only one
-    thread at a time may use the object.
-    names: one word each. role: media.role of the streams; with any role except ROLE, the daemon
-    treats them as streams of another application. pcms: PCMs by name.
-    LostError: the file in memory cannot be made.
+    thread at a time may use the object. names: one word each. role: media.role of the streams; with
+    any role except ROLE, the daemon treats them as streams of another application. pcms: PCMs by
+    name. LostError: the file in memory cannot be made.
     """
 
     def __init__(self, *names: str, role: str = ROLE) -> None:

@@ -42,9 +42,8 @@ def libusb() -> Any:
 def open_device(device: UsbAudioDevice) -> Any:
     """Return PyUSB's usb.core.Device for a device from `find_devices`.
 
-    The first request opens it; usb.util.dispose_resources closes it.
-    NoLibusbError: PyUSB or libusb is missing. NoUsbDeviceError: libusb does not see the device.
-    UsbAccessError: libusb fails.
+    The first request opens it; usb.util.dispose_resources closes it. NoLibusbError: PyUSB or libusb
+    is missing. NoUsbDeviceError: libusb does not see the device. UsbAccessError: libusb fails.
     """
     backend = libusb()
     import usb.core

@@ -4,7 +4,7 @@ import re
 import threading
 from urllib.request import urlopen
 
-from audioflinger_hook.monitor.try_page import PROFILES, RATES, TYPES, page_files
+from audioflinger_hook.monitor.try_page import PROFILES, RATES, content_type, page_files
 from tools import try_page
 
 POLICY = (
@@ -39,7 +39,7 @@ def test_the_folder_is_served_with_media_types_and_a_taken_port_is_reported(tmp_
         threading.Thread(target=serving.serve_forever, daemon=True).start()
         for name in ("", "core.wasm", "try.webmanifest"):
             with urlopen(f"http://127.0.0.1:{serving.server_port}/{name}") as answer:
-                kind = TYPES[(name or "index.html").rpartition(".")[2]]
+                kind = content_type(name or "index.html")
                 assert answer.headers["Content-Type"] == kind
         options = ["--out", str(tmp_path), "--serve", "--port", str(serving.server_port)]
         assert try_page.main(options) == 1

@@ -21,6 +21,9 @@ class Player:
         self.played: list[Any] = []
         self.waited = 0
 
+    def may_play(self) -> None:
+        pass
+
     def status(self) -> Any:
         return self
 

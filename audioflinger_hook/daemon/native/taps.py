@@ -30,10 +30,9 @@ _SIDE = {"BL": "SL", "BR": "SR", "BC": "RC"}  # if surround channels exist only 
 class Tap:
     """The sound that chains tap. name: for messages. rules: select streams, None for all.
 
-    left_out: streams that are not tapped although `rules` select them.
-    positions: channels in the mixer's order, such as ("FL", "FR"). sink: node to which tapped
-    streams play, "" for all sinks except the device.
-    is_trial: whether the tap is the vibration of trials instead of sound.
+    left_out: streams that are not tapped although `rules` select them. positions: channels in the
+    mixer's order, such as ("FL", "FR"). sink: node to which tapped streams play, "" for all sinks
+    except the device. is_trial: whether the tap is the vibration of trials instead of sound.
     """
 
     name: str
