@@ -15,10 +15,10 @@ const METHODS = { // what the estimates of each paradigm mean
     "a difference of 0.7 means that the better of two conditions is chosen in two of three comparisons."],
   rating: ["Ratings go from 0 to 100."],
   synchrony: ["PSS (point of subjective simultaneity) is the delay of the vibration that seems simultaneous. JND (just noticeable difference) " +
-    "is the distance from it at which half of the answers change: delays beyond are noticed."],
+    "is the distance from it at which half of the answers are “not simultaneous”, or 75 % are right about the order. Delays beyond it are noticed."],
   threshold: ["The level is that of 75 % right answers, relative to the level of the design.", "JND is the standard deviation of the decision noise."],
   equal: ["The level is the gain that makes a condition as strong as the reference.", "JND is the standard deviation of the decision noise."],
-  identification: ["Bits are the mutual information of sound and answer: 0 if people guess, and 1 if they always tell two halves of the sounds apart."],
+  identification: ["Bits are the mutual information of sound and answer: 0 if people guess; with four sounds, 2 if all answers are right."],
 };
 const LEFT = 8, RIGHT = 14, ROW = 42, BOTTOM = 44, HEIGHT = 190;
 
