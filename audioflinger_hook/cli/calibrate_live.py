@@ -156,13 +156,8 @@ other positions, the server mixes its channels.
 """
 
 _HAS_TO_BE_KNOWN = (
-    "dac.full_scale_v",
-    "amplifier.gain",
-    "actuator.moving_mass_kg",
-    "actuator.resonance_hz",
-    "actuator.q_mechanical",
-    "actuator.force_factor_n_per_a",
-    "actuator.resistance_ohm",
+    *("dac.full_scale_v", "amplifier.gain", "actuator.moving_mass_kg", "actuator.resonance_hz"),
+    *("actuator.q_mechanical", "actuator.force_factor_n_per_a", "actuator.resistance_ohm"),
     "actuator.x_max_m",
 )
 

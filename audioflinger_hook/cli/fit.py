@@ -62,9 +62,8 @@ def _fit(options: argparse.Namespace, stack: ExitStack) -> None:
     name = options.name or fits.default_name(device)
     path = fits.path_of(name).with_suffix(".jsonl")
     design = design_digest({"protocol": PROTOCOL_TEXT, "for": device or repr(sitter)})
-    seed = secrets.randbits(32) if options.seed is None else options.seed
-    fresh = options.new
-    record = stack.enter_context(TrialRecord(path, design, header={"seed": seed}, fresh=fresh))
+    header = {"seed": secrets.randbits(32) if options.seed is None else options.seed}
+    record = stack.enter_context(TrialRecord(path, design, header=header, fresh=options.new))
     if resumed := len(record.trials):
         told = f"going on after {counted(resumed, 'answers')}; --new begins again"
         print(told, file=sys.stderr, flush=True)

@@ -7,15 +7,8 @@ CHANNELS, ACTUATORS, PARTIALS = 8, 64, 16
 LIMITED_BY = ("", "excursion, current or level", "temperature", "outside")
 
 GLIDE_COLUMNS = (
-    "frame",
-    "frames",
-    "channel",
-    "slot",
-    "start_hz",
-    "end_hz",
-    "start_amplitude",
-    "end_amplitude",
-    "start_phase",
+    *("frame", "frames", "channel", "slot", "start_hz", "end_hz"),
+    *("start_amplitude", "end_amplitude", "start_phase"),
 )
 """Columns of a glide: the course of one partial for `frames` frames from `frame` on.
 
