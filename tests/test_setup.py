@@ -70,8 +70,9 @@ def test_the_wheel_holds_the_packages_whole_and_compiled_and_nothing_else(projec
     assert markers | compiled | {"device/probe/probe.toml", "device/probe/probe.xml"} <= names
     assert [name for name in names if name.endswith("/LICENSE")]
     suffixes = {Path(name).suffix for name in names if name.split("/")[0] in PACKAGES}
-    page = {".html", ".css", ".js", ".svg", ".wasm"}
-    assert suffixes <= {".py", ".so", ".typed", ".toml", ".xml", ".json", ".conf"} | page
+    page = {".html", ".css", ".js", ".svg", ".wasm", ".webmanifest", ".LICENSE"}
+    read = {".typed", ".toml", ".xml", ".json", ".conf", ".service", ".txt", ".md"}
+    assert suffixes <= {".py", ".so"} | read | page
 
 
 CORE = ("core", "core/drive", "plugin/native", "transform/native")

@@ -16,7 +16,6 @@ from audioflinger_hook.cli.run_reporter import RunReporter
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.edits import Edits, LiveEdits
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.config.toml_text import text_of
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.live_control import LiveControl
 from audioflinger_hook.daemon.offset_store import OffsetStore
@@ -122,13 +121,10 @@ def _state_folder(is_used: bool) -> Path | None:
 def _run_config(options: argparse.Namespace, edits: Edits | None = None) -> RunConfig:
     """Return the run's configuration; options override the config file, edits override both."""
     path = options.config or config.default_path()
-    if options.config and not edits:
-        text_of(options.config)  # with edits, `load` accepts a missing file
-    edits = dict(edits or {})
-    if options.device:  # which fit counts can depend on it
-        edits["device"] = str(parse_device(options.device))
+    edits = edits or {}
+    device = str(parse_device(options.device)) if options.device else ""
     if options.config or path.exists() or edits:
-        found = config.load(path, options.default_profile, edits or None)
+        found = config.load(path, options.default_profile, edits or None, device)
     else:
         found = config.Config(Settings(profile=options.default_profile))
     settings = found.settings.choosing(
@@ -137,6 +133,8 @@ def _run_config(options: argparse.Namespace, edits: Edits | None = None) -> RunC
     given = given_values(options, [name for name in OF_LIVE if name not in edits])
     if "tap" in given:
         given["tap"] = tuple(str(parse_tap(text)) for text in given["tap"])
+    if "device" in given:
+        given["device"] = device
     live = dataclasses.replace(found.live, **given)
     if live.device is None:
         raise UsageError(

@@ -220,8 +220,8 @@ def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
                         shown["lowest_db"] = _finite(decibels.lowest_db)
                         shown["highest_db"] = _finite(decibels.highest_db)
                     found["volumes"].append(shown)
-                for switch in mixer.switches:
-                    found["mutes"].append({"name": switch.name, "muted": [*mixer.muted(switch)]})
+                muted = [{"name": s.name, "muted": [*mixer.muted(s)]} for s in mixer.switches]
+                found["mutes"] += muted
         except CushionError as error:
             found["problem"] = str(error)
     return found

@@ -10,6 +10,7 @@ from audioflinger_hook.config import fits, profiles, schema, toml_text
 from audioflinger_hook.config.applications import ApplicationRule, rule_refusals
 from audioflinger_hook.config.edits import Edits, apply_edits
 from audioflinger_hook.config.kinds import curve_text
+from audioflinger_hook.config.profiles import OFFLINE_DEFAULT
 from audioflinger_hook.config.schema import ACTUATOR, APPLICATION, ARRAYS, KEYS, keys_of
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.config.toml_text import Mistake, printable
@@ -40,10 +41,10 @@ def names_a_device() -> bool:
 
 
 def load(
-    path: Path, default_profile: str = profiles.OFFLINE_DEFAULT, edits: Edits | None = None
+    path: Path, default_profile: str = OFFLINE_DEFAULT, edits: Edits | None = None, device: str = ""
 ) -> Config:
     """Return the settings of a config file; see `check`. UsageError: the file has mistakes."""
-    config, mistakes = check(path, default_profile, edits)
+    config, mistakes = check(path, default_profile, edits, device)
     if config is None:
         more = f" (and {len(mistakes) - 1} more; see `cushion check --config {path}`)"
         raise UsageError(f"{path}: {mistakes[0]}{more if mistakes[1:] else ''}")
@@ -51,27 +52,28 @@ def load(
 
 
 def check(
-    path: Path, default_profile: str = profiles.OFFLINE_DEFAULT, edits: Edits | None = None
+    path: Path, default_profile: str = OFFLINE_DEFAULT, edits: Edits | None = None, device: str = ""
 ) -> tuple[Config | None, list[Mistake]]:
     """Return a file's settings and an empty list, or None and all mistakes, ordered by line.
 
     default_profile: the profile if the file names none.
     edits: values that override those of the file. If they are given, the file may be missing.
+    device: its fit counts instead of that of the file's device.
     UsageError: the file cannot be read or is not text.
     """
     text = toml_text.text_of(path, or_empty=edits is not None)
-    return check_text(text, path.parent, default_profile, edits)
+    return check_text(text, path.parent, default_profile, edits, device)
 
 
 def check_text(
-    text: str, folder: Path, default_profile: str, edits: Edits | None = None
+    text: str, folder: Path, default_profile: str, edits: Edits | None = None, device: str = ""
 ) -> tuple[Config | None, list[Mistake]]:
     """Check a text as `check` checks a file. folder: relative paths in the text start there."""
     document, mistakes = toml_text.parse(text)
     apply_edits(document, edits or {})
     reading = _Reading(toml_text.lines_of_keys(text), folder, mistakes, default_profile)
     reading.read(document)
-    reading.find_contradictions()
+    reading.find_contradictions(device)
     if mistakes:
         return None, sorted(mistakes, key=lambda mistake: mistake.line)
     return reading.config(), []
@@ -136,12 +138,12 @@ class _Reading:
             else:
                 self.accepted[key.owner][key.field] = key.description.typed(resolved)
 
-    def find_contradictions(self) -> None:
+    def find_contradictions(self, device: str) -> None:
         self.accepted[Settings]["actuators"] = self.arrays[ACTUATOR]
         chosen = self.accepted[TransformParameters]
         if chosen.get("strength") == "fit":
             try:
-                device = self.accepted[LiveSettings].get("device")
+                device = device or self.accepted[LiveSettings].get("device", "")
                 if not (name := chosen.get("fit") or (device and fits.default_name(device))):
                     raise UsageError("no fit is named, and the config has no device")
                 chosen["fit"] = curve_text(fits.read(name).curve_db)

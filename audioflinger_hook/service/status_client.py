@@ -40,14 +40,16 @@ def ask_status(
 def ask_control(request: Mapping[str, Any], timeout_s: float, clock: Callable[[], float]) -> Any:
     """Let this user's daemon carry out a request of the form that `daemon/live_control.py` lists.
 
-    Return the answer. UsageError: the daemon refuses the request. Other errors and arguments: as
-    for `ask_status`.
+    Return its answer, a dict. UsageError: it refuses. Other errors, arguments: see `ask_status`.
     """
     asked = {**request, "ask": "control", "protocol": PROTOCOL}
     line = _answer(asked, timeout_s, clock, os.environ)
     if refused := _error_in(line):
         raise UsageError(f"the daemon refuses the request: {refused}")
-    return json.loads(line)
+    try:
+        return {**json.loads(line)}
+    except (ValueError, TypeError, RecursionError) as error:  # TypeError: it is no object
+        raise InternalError("the daemon's answer is not understood; restart it") from error
 
 
 def _answer(

@@ -93,7 +93,8 @@ def _pieces(body: list[int], depth: int) -> Level | None:
         body = body[4 + (body[3] + 3) // 4 :]
     if not found:
         return None
-    return lambda step: next((one for last, one in found if step <= last), found[-1][1])(step)
+    last, highest = found[-1]
+    return lambda step: next((one(step) for end, one in found if step <= end), highest(last))
 
 
 def _even(first: int, rise: int, steps: int, lowest: int, silent: bool) -> Level:

@@ -1,7 +1,6 @@
 """Coil and magnet as two thermal masses, and the coil's resistance at its temperature."""
 
 import math
-from functools import lru_cache
 
 import numpy as np
 
@@ -23,7 +22,7 @@ class Temperatures:
         self._rate = np.zeros((3, 3))
         self._rate[0] = np.array([-into_magnet, into_magnet, 1.0]) / p.coil_j_per_k
         self._rate[1, :2] = np.array([into_magnet, -(into_magnet + out)]) / p.magnet_j_per_k
-        self.step = lru_cache(maxsize=64)(self._step)
+        self._steps: dict[float, list[float]] = {}
         self.coil_k = self.magnet_k = 0.0
 
     def heat(self, power_w: float, duration_s: float) -> None:
@@ -39,9 +38,13 @@ class Temperatures:
         ambient = 1.0 + COPPER_PER_K * (self.parameters.ambient_c - 20.0)
         return resistance_ohm * (1.0 + COPPER_PER_K * self.coil_k / ambient)
 
-    def _step(self, duration_s: float) -> list[float]:
+    def step(self, duration_s: float) -> list[float]:
         """Return the matrix from (coil_k, magnet_k, power_w) to (coil_k, magnet_k), row by row."""
-        return list(_exponential(self._rate * duration_s)[:2].ravel().tolist())
+        if duration_s not in self._steps:
+            if len(self._steps) > 64:  # limits the memory for varying block lengths
+                self._steps.clear()
+            self._steps[duration_s] = _exponential(self._rate * duration_s)[:2].ravel().tolist()
+        return self._steps[duration_s]
 
 
 def _exponential(matrix: FloatArray) -> FloatArray:

@@ -4,15 +4,17 @@ import subprocess
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
-from audioflinger_hook.cli import devices, test_tone
+from audioflinger_hook.cli import devices, test_tone, usb
 from audioflinger_hook.cli.outputs import list_outputs
-from audioflinger_hook.cli.usb import mixer_lines, volume_now
+from audioflinger_hook.cli.usb import mixer_lines, mixer_of, volume_now
 from audioflinger_hook.cli.usb_formats import by_setting, format_text, formats_of
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.daemon.outputs.sink import SinkOutput
+from device.errors import LostError
 from device.server import ServerSnapshot
 from device.server.snapshot import Sink
 from device.usb import UsbAudioDevice, find_devices
@@ -26,8 +28,6 @@ from tests.support.usb_shapes import SHAPES, headset_adapter
 from tests.support.usb_tree import UsbTree
 
 DEVICE = usb_builder.device(product=0xDAC1)
-
-
 KEYS = table("usb-keys.toml")
 
 
@@ -159,6 +159,13 @@ def test_every_control_has_a_line_of_its_own_and_one_says_why_none_could_be_read
     ]
     mixer = {"volumes": [], "mutes": [], "problem": "this user may not open it"}
     assert mixer_lines(mixer) == ["volume of the sound card unknown: this user may not open it"]
+
+
+def test_of_mutes_that_cannot_all_be_read_none_is_told(device, monkeypatch):
+    mixer = Mock(volumes=[], switches=[Mock()] * 2)
+    mixer.muted.side_effect = [(True,), LostError("gone")]
+    monkeypatch.setattr(usb, "CardMixer", lambda number: mixer)
+    assert mixer_of(device) == {"volumes": [], "mutes": [], "problem": "gone"}
 
 
 @pytest.fixture

@@ -113,6 +113,14 @@ def test_each_kind_of_table_gives_the_steps_their_levels(words, levels_db):
     assert {step: round(known(words).level(step), 6) for step in levels_db} == levels_db
 
 
+def test_above_the_last_range_every_step_has_the_level_of_its_end():
+    words = table(RANGE, 0, 10, *table(SCALE, -2_000, 100), 11, 20, *table(SCALE, -1_000, 50))
+    decibels: Any = parse_decibels(words, 0, 30)
+    levels_db = {0: -20.0, 10: -10.0, 11: -10.0, 20: -5.5, 21: -5.5, 30: -5.5}
+    assert {step: decibels.level(step) for step in levels_db} == levels_db
+    assert (decibels.highest_db, decibels.step_at_most(-5.0)) == (-5.5, 30)
+
+
 def test_the_lowest_step_is_silence_where_the_table_says_so_else_none_may_be_soft_enough():
     for words in (table(SCALE, -5_000, 50 | SILENT_WHEN_LOWEST), table(BOUNDS_MUTE, -6_400, 0)):
         assert known(words).level(0) == -math.inf

@@ -228,6 +228,11 @@ def test_without_a_name_the_fit_of_the_device_counts_and_a_missing_one_is_said(s
     parsed = build_parser().parse_args(["run", "--config", str(config), "--device", "b"])
     assert _run_config(parsed).settings.parameters.fit == "25:0.0,200:12.0"
     assert load(config).settings.choosing(profile="game").parameters.fit == "25:0.0,200:12.0"
+    config.write_text(said)  # the file needs no device
+    assert _run_config(parsed).settings.parameters.fit == "25:0.0,200:12.0"
+    config.write_text('device = "hw:"\n')  # a wrong one is told, though another is used
+    with pytest.raises(UsageError, match="line 1: device"):
+        _run_config(parsed)
     config.write_text(f'{said}fit = "mine"\n')
     assert load(config).settings.transform_parameters.fit == "25:0.0,200:10.0"
     config.write_text(f'{said}fit = "tow"\n')

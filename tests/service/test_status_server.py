@@ -21,7 +21,7 @@ from audioflinger_hook.service import status_server
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Endpoint, Status
-from audioflinger_hook.service.status_client import ask_status
+from audioflinger_hook.service.status_client import ask_control, ask_status
 from audioflinger_hook.service.status_server import CLIENTS_MAX, NAME, PAUSE_S, REQUEST_BYTES_MAX
 from device.errors import InternalError, NotFoundError, UsageError
 from tests.monitor.stand_in import odd_daemon
@@ -380,3 +380,11 @@ def test_an_answer_that_is_not_understood_is_an_error_of_one_line(tmp_path, repl
     replies = odd_daemon(tmp_path, lambda accepted: accepted.sendall(reply))
     with replies, pytest.raises(InternalError, match=message):
         ask_status(DEADLINE_S, time.monotonic, {"XDG_RUNTIME_DIR": str(tmp_path)})
+
+
+@pytest.mark.parametrize("reply", [b"nonsense\n", b"3\n", b"[" * 100_000 + b"\n"], ids=range(3))
+def test_an_answer_to_control_that_is_no_object_is_an_error_too(tmp_path, monkeypatch, reply):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    replies = odd_daemon(tmp_path, lambda accepted: accepted.sendall(reply))
+    with replies, pytest.raises(InternalError, match="not understood; restart it"):
+        ask_control({"trial": True}, DEADLINE_S, time.monotonic)
