@@ -143,8 +143,7 @@ def _live(design: Design, stimuli: Stimuli, options: argparse.Namespace) -> None
 
 def _report(options: argparse.Namespace) -> None:
     design = load(options.folder)
-    registered = _registered(options, design)["registered"]
-    document = report.as_document(design, registered)
+    document = report.as_document(design, _registered(options, design)["registered"])
     if options.json:
         print(json.dumps(document, indent=2))
         return

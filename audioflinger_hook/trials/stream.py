@@ -77,10 +77,9 @@ class TrialStream:
         self._stream: PlaybackStream | None = None
         with ExitStack() as stack:
             self._connection = stack.enter_context(closing(PulseConnection()))
-            self._heard, where = self._connection.latest.default_sink, ""
-            if self._heard in (None, device):
-                where = f"the sound would go to {self._heard or 'no sink'}; choose another output"
-            self.why_silent = where
+            self._heard = self._connection.latest.default_sink
+            goes = f"the sound would go to {self._heard or 'no sink'}; choose another output"
+            self.why_silent = goes * (self._heard in (None, device))
             looks = 0
             while self._connection.snapshot().sink(TRIALS):
                 if (looks := looks + 1) > GONE_LOOKS:
