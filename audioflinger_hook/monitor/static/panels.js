@@ -7,8 +7,7 @@ import { Meters } from "./meters.js";
 import { Waterfall } from "./waterfall.js";
 
 const CHANNELS = { 1: ["mono"], 2: ["L", "R"], 4: ["FL", "FR", "RL", "RR"], 6: ["FL", "FR", "C", "LFE", "RL", "RR"], 8: ["FL", "FR", "C", "LFE", "RL", "RR", "SL", "SR"] };
-const STILL_MS = 250, STALE_MS = 1500, STALE_EVERY_MS = 100;
-const NOTHING = { sound: [], vibration: [], partials: [] };
+const STILL_MS = 250, STALE_MS = 1500, STALE_EVERY_MS = 100, NOTHING = { sound: [], vibration: [], partials: [] };
 
 window.cushion = { frames: 0, partials: [] }; // what tests measure
 

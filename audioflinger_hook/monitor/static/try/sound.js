@@ -42,10 +42,7 @@ async function decoded(file, wav) {
 function duration(file) {
   const element = new Audio(), address = URL.createObjectURL(file);
   return new Promise((settle) => {
-    const end = () => {
-      URL.revokeObjectURL(address);
-      settle(Number.isFinite(element.duration) ? element.duration : NaN);
-    };
+    const end = () => settle(Number.isFinite(element.duration) ? element.duration : NaN);
     element.onloadedmetadata = () => {
       if (Number.isFinite(element.duration)) end();
       else element.currentTime = FAR_S; // a live recording's length is known at its end
@@ -54,5 +51,5 @@ function duration(file) {
     setTimeout(end, METADATA_MS);
     element.preload = "metadata";
     element.src = address;
-  });
+  }).finally(() => URL.revokeObjectURL(address));
 }

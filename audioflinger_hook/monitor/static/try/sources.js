@@ -14,8 +14,7 @@ const REFUSED = {
 };
 const SILENT = "What you shared has no sound. Share again, and switch on “Also share audio”.";
 
-const platform = () => navigator.userAgentData?.platform ?? navigator.platform ?? "";
-const isLinux = () => /linux|cros|chrom/i.test(platform());
+const isLinux = () => /linux|cros|chrom/i.test(navigator.userAgentData?.platform ?? navigator.platform ?? "");
 
 /** What this browser can take besides files: {microphone, screen: words on the button or "", note}. */
 export function abilities() {
@@ -37,10 +36,8 @@ export async function capture(kind, ended) {
     throw new Error(REFUSED[kind][error.name] ?? `The browser refused: ${error.message}.`);
   }
   const [track] = stream.getAudioTracks();
-  if (!track) {
-    stream.getTracks().forEach((one) => one.stop());
-    throw new Error(SILENT);
-  }
+  const stop = () => stream.getTracks().forEach((one) => one.stop());
+  if (!track) { stop(); throw new Error(SILENT); }
   for (const one of stream.getTracks()) one.onended = ended;
-  return { stream, label: track.label, stop: () => stream.getTracks().forEach((one) => one.stop()) };
+  return { stream, label: track.label, stop };
 }

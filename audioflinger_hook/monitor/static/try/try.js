@@ -7,7 +7,6 @@ import { RATES, wholeSound } from "./sound.js";
 import { abilities, capture } from "./sources.js";
 import { followTheme } from "./theme.js";
 
-const SCENES = [...document.querySelectorAll("[data-scene]")], CAPTURES = [...document.querySelectorAll("[data-capture]")];
 const NO_WORKLET = "This browser plays no live vibration (it lacks AudioWorklet, or the page is not on https or localhost). Files can be made.";
 const NO_WASM = "This browser lacks WebAssembly with SIMD. Use a newer one.";
 const ONLY_SHOWN = "Without an output, the vibration is silent and only shown.";
@@ -80,13 +79,10 @@ async function transform() {
 const strength = () => (find("power").getAttribute("aria-checked") === "true" ? 10 ** (find("strength").value / 20) : 0);
 
 function show(data) {
-  if ("latency" in data) {
-    latency = data.latency;
-    if (second.context) align();
-    return;
-  }
   const level = strength();
-  panels.show({ ...data, vibration: data.vibration.map(([peak, square]) => [peak * level, square * level * level]), level });
+  if (!("latency" in data)) return panels.show({ ...data, vibration: data.vibration.map(([peak, square]) => [peak * level, square * level * level]), level });
+  latency = data.latency;
+  if (second.context) align();
 }
 
 async function choose(chosen, name = chosen.name) {
@@ -131,8 +127,7 @@ async function take({ target }) {
 function endCapture() {
   captured?.stop();
   captured?.source?.disconnect();
-  captured = null;
-  captures += 1;
+  [captured, captures] = [null, captures + 1];
   find("stop").hidden = true;
 }
 
@@ -244,10 +239,8 @@ function rendered(mine, { wasm, design, samplerate, planes, file }) {
       if (data.error) fail(new Error(`The vibration cannot be made: ${data.error}.`));
       if (data.wav) settle(data);
     };
-    mine.onerror = (event) => {
-      event.preventDefault();
-      fail(new Error("The vibration cannot be made: this browser is too old, or has too little memory."));
-    };
+    mine.addEventListener("error", (event) => event.preventDefault());
+    mine.onerror = () => fail(new Error("The vibration cannot be made: this browser is too old, or has too little memory."));
     mine.postMessage({ wasm, design, samplerate, planes, file }, planes?.map(({ buffer }) => buffer) ?? []);
   });
 }
@@ -273,10 +266,8 @@ function begin() {
   }
   profile.append(...Object.keys(PROFILES).filter((name) => name !== "paper").map((name) => element("option", { value: name }, titled(name))));
   const live = Boolean(globalThis.AudioWorkletNode);
-  find("microphone").hidden = !can.microphone || !live;
-  find("screen").hidden = !can.screen || !live;
-  find("screen").textContent = can.screen;
-  find("screen-note").textContent = can.note;
+  [find("microphone").hidden, find("screen").hidden] = [!can.microphone || !live, !can.screen || !live];
+  [find("screen").textContent, find("screen-note").textContent] = [can.screen, can.note];
   find("route").hidden = !live || !canChoose() || !navigator.mediaDevices;
   if (find("route").hidden) find("apart").textContent = "This browser cannot choose an output. Save the vibration, and play the file on its device.";
   say(live ? "Choose a sound. The vibration is shown here, and is silent until you choose its output." : NO_WORKLET, live ? "good" : "bad");
@@ -284,8 +275,8 @@ function begin() {
   find("sound").onchange = asked(({ target }) => target.files[0] && choose(target.files[0]));
   player.onplay = asked(() => { endCapture(); return prepare(); });
   player.onerror = () => file && say(`${file.name} is no sound that this browser can play. Try WAV, MP3, FLAC, Ogg or MP4.`, "bad");
-  for (const button of SCENES) button.onclick = asked(scene);
-  for (const button of CAPTURES) button.onclick = asked(take);
+  for (const button of document.querySelectorAll("[data-scene]")) button.onclick = asked(scene);
+  for (const button of document.querySelectorAll("[data-capture]")) button.onclick = asked(take);
   find("stop").onclick = () => { endCapture(); say("Choose a sound."); };
   find("make").onclick = asked(make);
   find("find").onclick = asked(findOutputs);
@@ -307,9 +298,8 @@ function begin() {
     tellPower();
     level();
   };
-  for (const kind of ["dragover", "dragleave", "drop"]) {
-    document.addEventListener(kind, (event) => { event.preventDefault(); document.body.dataset.drop = kind === "dragover"; });
-  }
+  const dragged = (event) => { event.preventDefault(); document.body.dataset.drop = event.type === "dragover"; };
+  for (const kind of ["dragover", "dragleave", "drop"]) document.addEventListener(kind, dragged);
   document.ondrop = asked(({ dataTransfer: { files: [dropped] } }) => dropped && choose(dropped));
   navigator.mediaDevices?.addEventListener("devicechange", () => output.length > 1 && list());
   find("profile-meaning").textContent = PROFILES[profile.value];
