@@ -14,6 +14,7 @@ from importlib.resources import files
 import numpy as np
 import soundfile
 
+from audioflinger_hook import __version__
 from audioflinger_hook.config.profiles import parameters_of
 from audioflinger_hook.core.design import core_design
 from audioflinger_hook.scenes.demo import DEMO_TRACKS, SAMPLERATE, demo_sound
@@ -27,6 +28,7 @@ CONTENT_SECURITY_POLICY = (
 RATES = (44_100, 48_000)
 PROFILES = ("cinema", "game", "music", "speech")
 SCENES = ("engine", "explosion", "chord")
+SCENE_CODE = ("demo.py", "sounds.py")
 
 OF_THE_LIVE_PAGE = (
     *("drawing.js", "elements.js", "mapping.js", "meters.js", "panels.js", "theme.js"),
@@ -86,9 +88,11 @@ def _index() -> bytes:
 @cache
 def _offline() -> bytes:
     contents = page_files()
-    digest = hashlib.sha256(_static(f"try/{OFFLINE}"))
-    for name in first_files():
-        digest.update(contents[name]())
+    digest = hashlib.sha256(__version__.encode() + _static(f"try/{OFFLINE}"))
+    for name, content in contents.items():
+        digest.update(b"" if name.endswith((OFFLINE, ".wav")) else content())
+    for name in SCENE_CODE:  # the scenes themselves take 1 s
+        digest.update(files("audioflinger_hook.scenes").joinpath(name).read_bytes())
     lists = {
         "FILES": ["./", *first_files()],
         "MORE": [name for name in contents if name not in (*first_files(), OFFLINE)],

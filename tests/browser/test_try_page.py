@@ -140,12 +140,20 @@ def three_compressed_hours(path: Path) -> None:
             file.write(np.zeros(60 * 8_000, np.int16))
 
 
+def three_streamed_hours(path: Path) -> None:
+    three_compressed_hours(path)
+    head = path.read_bytes()
+    path.write_bytes(head[:21] + bytes([head[21] & 0xF0, 0, 0, 0, 0]) + head[26:])  # no length
+
+
 BAD_FILES = {
     "is no sound that this browser can read": lambda path: path.write_text("no sound\n" * 99),
     "is empty (0 bytes)": lambda path: path.write_bytes(b""),
     "has no sound: it lasts 0 s": lambda path: soundfile.write(path, np.zeros((0, 2)), RATE_HZ),
     "lasts 180 minutes and needs 2.1 GB of memory; at most 1.0 GB": three_hours,
     "lasts 180 minutes and needs 6.2 GB of memory; at most 1.0 GB": three_compressed_hours,
+    "lasts 180 minutes and needs 6.2 GB of memory": three_streamed_hours,
+    "has no length that this browser can read": lambda path: path.write_bytes(b"no" * 10**7),
     "has 9 channels; at most 8": lambda path: soundfile.write(path, np.zeros((9, 9)), RATE_HZ),
 }
 
@@ -160,6 +168,7 @@ def test_a_file_that_cannot_be_used_is_refused_in_one_line(site, chromium, words
         says(page, "#status", words)
         assert page.get_attribute("#vibration", "data-state") == "none"
         assert page.inner_text("#make") == "Make the vibration as a file"
+        assert page.is_disabled("#make")
 
 
 NO = "Promise.reject(new DOMException('', 'NotAllowedError'))"
@@ -208,8 +217,13 @@ def test_a_file_can_be_dropped_and_a_browser_may_ask_for_the_output_itself(site,
 
 
 KEEPS = """const devices = navigator.mediaDevices, asks = devices.getUserMedia.bind(devices);
-devices.getUserMedia = async (wanted) => window.stream = await asks(wanted);"""
-UNPLUGGED = "stream.getTracks()[0].dispatchEvent(new Event('ended'))"
+window.streams = [];
+devices.getUserMedia = async (wanted) => {
+  streams.push(await asks(wanted));
+  return new Promise((allow) => setTimeout(allow, 500, streams.at(-1)));
+};"""
+ACTIVE = "streams.map(({ active }) => active)"
+UNPLUGGED = "streams[0].getTracks()[0].dispatchEvent(new Event('ended'))"
 
 
 def test_a_microphone_may_be_unplugged(site, chromium):
@@ -221,6 +235,37 @@ def test_a_microphone_may_be_unplugged(site, chromium):
         assert page.is_hidden("#stop")
 
 
+def test_a_microphone_that_is_no_longer_wanted_is_closed(site, chromium):
+    with opened(chromium, site, KEEPS) as page:
+        page.dblclick("#microphone")
+        says(page, "#status", "becomes vibration")
+        wait_for(lambda: page.evaluate(ACTIVE) == [False, True], "one open microphone")
+        page.click("#microphone")
+        page.evaluate(DROP)
+        wait_for(lambda: page.evaluate(ACTIVE) == [False] * 3, "no open microphone")
+        says(page, "#status", "dropped.wav is chosen")
+
+
+GAME_IS_SLOW = """const loads = window.fetch, Node = window.AudioWorkletNode;
+const later = (name) => new Promise((settle) => setTimeout(settle, 1000 * name.startsWith("game")));
+window.fetch = (name) => later(name).then(() => loads(name));
+window.AudioWorkletNode = function (context, name, options) {
+  return Object.assign(new Node(context, name, options), options.processorOptions);
+};"""
+
+
+def test_the_profile_that_is_shown_plays_although_another_comes_later(site, chromium):
+    with opened(chromium, site, GAME_IS_SLOW) as page:
+        page.select_option("#profile", "game")
+        page.click("[data-scene=engine]")
+        for profile, wait_ms in (("game", 300), ("speech", 2_000), ("game", 0), ("music", 2_000)):
+            page.select_option("#profile", profile)
+            page.wait_for_timeout(wait_ms)
+            if wait_ms == 2_000:
+                rate, *plays = page.evaluate("[cushion.context.sampleRate, ...cushion.node.design]")
+                assert bytes(plays) == page_files()[f"{profile}-{rate}.design"]()
+
+
 @pytest.mark.parametrize("way", ["", "delete AudioContext.prototype.setSinkId"])
 def test_vibration_plays_only_on_a_chosen_output_and_together(site, chromium, way):
     with opened(chromium, site, way) as page:
@@ -229,6 +274,7 @@ def test_vibration_plays_only_on_a_chosen_output_and_together(site, chromium, wa
         says(page, "#apart", "silent and only shown")
         page.evaluate(LOOP)
         page.evaluate(PLAY)
+        says(page, "#power-word", "Vibration is only shown")
         page.click("#power")
         says(page, "#power-word", "Vibration is off")
         says(page, "#vibration-meters", "silent")
@@ -240,6 +286,7 @@ def test_vibration_plays_only_on_a_chosen_output_and_together(site, chromium, wa
         page.select_option("#output", index=1)
         page.evaluate(PLAY)
         says(page, "#status", "Vibration plays on Fake Audio Output 1")
+        says(page, "#power-word", "Vibration is on")
         wait_for(lambda: apart_ms(page) < 5.0, "one clock beside the other", 20.0)
         page.evaluate("navigator.mediaDevices.enumerateDevices = async () => []")
         page.evaluate("navigator.mediaDevices.dispatchEvent(new Event('devicechange'))")
@@ -356,6 +403,7 @@ def test_everyone_can_use_the_page(site, chromium, size, theme, tmp_path):
         says(page, "#status", "is empty")
         assert page.evaluate("axe.run()")["violations"] == []
         assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+        page.click("[data-scene=engine]")
         reached = set()
         for _ in range(30):
             page.keyboard.press("Tab")

@@ -4,6 +4,7 @@ import re
 import threading
 from urllib.request import urlopen
 
+from audioflinger_hook.monitor import try_page as page
 from audioflinger_hook.monitor.try_page import PROFILES, RATES, TYPES, page_files
 from tools import try_page
 
@@ -31,6 +32,16 @@ def test_the_folder_holds_the_whole_page_with_its_policy(tmp_path, capsys):
         name for text in texts for name in re.findall(r'(?:from |URL\()"(?:\./)?([^"]+)"', text)
     }
     assert named <= found
+
+
+def test_a_browser_keeps_no_file_of_another_version(monkeypatch):
+    made, versions = page._design, {page._offline.__wrapped__()}
+    changed: dict[str, object] = {"SCENE_CODE": ("demo.py",), "__version__": "another"}
+    changed["_design"] = lambda profile, rate: made(profile, rate) + b"." * (profile == "speech")
+    for name, value in changed.items():
+        monkeypatch.setattr(page, name, value)
+        versions.add(page._offline.__wrapped__())
+    assert len(versions) == 4
 
 
 def test_the_folder_is_served_with_media_types_and_a_taken_port_is_reported(tmp_path, capsys):

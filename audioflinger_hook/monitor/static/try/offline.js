@@ -31,7 +31,7 @@ self.onfetch = (event) => {
 async function answer(request) {
   const kept = await caches.open(NAME), found = await kept.match(request, { ignoreSearch: true });
   if (found) return found;
-  const fresh = await fetch(request);
+  const fresh = await fetch(request.url, { cache: "no-cache" }); // not what an earlier version left
   if (fresh.ok) await kept.put(request, fresh.clone());
   return fresh;
 }

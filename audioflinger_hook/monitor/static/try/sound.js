@@ -4,6 +4,7 @@ import { openWav } from "./wav.js";
 
 export const RATES = [44100, 48000];
 const MEMORY_MAX = 1e9, DECODED_HZ = 48000, CHANNELS = 2, CHANNELS_MAX = 8, METADATA_MS = 10_000;
+const BYTES_PER_S = 8000, FAR_S = 1e9; // of strongly compressed sound; after the end of any file
 
 const gigabytes = (bytes) => `${(bytes / 1e9).toFixed(1)} GB`;
 
@@ -15,12 +16,14 @@ function refuse(name, { frames, channels }) {
 /** What the worker renders: {samplerate, file} or {samplerate, planes}, and a `note`. An Error says why not. */
 export async function wholeSound(file) {
   const { name } = file, wav = await openWav(file), direct = RATES.includes(wav?.samplerate);
-  const about = wav ?? { samplerate: DECODED_HZ, channels: CHANNELS, frames: DECODED_HZ * (await duration(file)) };
+  const known = wav ? 0 : await duration(file), unknown = Number.isNaN(known);
+  const about = wav ?? { samplerate: DECODED_HZ, channels: CHANNELS, frames: DECODED_HZ * (unknown ? file.size / BYTES_PER_S : known) };
   refuse(name, about);
   const seconds = about.frames / Math.max(1, about.samplerate), minutes = Math.round(seconds / 60);
   const bytes = direct ? 4 * about.frames : 4 * DECODED_HZ * seconds * (1 + about.channels) + file.size;
   if (bytes > MEMORY_MAX) {
-    throw new Error(`${name} lasts ${minutes} minutes and needs ${gigabytes(bytes)} of memory; at most ${gigabytes(MEMORY_MAX)}. Cut it, or use \`cushion render\`.`);
+    const lasts = unknown ? "has no length that this browser can read, and may need" : `lasts ${minutes} minutes and needs`;
+    throw new Error(`${name} ${lasts} ${gigabytes(bytes)} of memory; at most ${gigabytes(MEMORY_MAX)}. Cut it, or use \`cushion render\`.`);
   }
   return direct ? { samplerate: wav.samplerate, file, note: "" } : decoded(file, wav);
 }
@@ -35,7 +38,7 @@ async function decoded(file, wav) {
   return { samplerate: DECODED_HZ, planes, note };
 }
 
-/** Length in s from a file's head, NaN where the browser cannot say. */
+/** Length in s, NaN where the browser cannot say. */
 function duration(file) {
   const element = new Audio(), address = URL.createObjectURL(file);
   return new Promise((settle) => {
@@ -43,7 +46,11 @@ function duration(file) {
       URL.revokeObjectURL(address);
       settle(Number.isFinite(element.duration) ? element.duration : NaN);
     };
-    element.onloadedmetadata = element.onerror = end;
+    element.onloadedmetadata = () => {
+      if (Number.isFinite(element.duration)) end();
+      else element.currentTime = FAR_S; // a live recording's length is known at its end
+    };
+    element.onseeked = element.onerror = end;
     setTimeout(end, METADATA_MS);
     element.preload = "metadata";
     element.src = address;

@@ -15,7 +15,7 @@ const RATE = RATES[1], MORE_DELAY_S = 0.02, DELAY_MAX_S = 0.3;
 
 const player = find("player"), profile = find("profile"), output = find("output"), vibration = find("vibration");
 const panels = new Panels(), second = new SecondOutput(follow), can = abilities();
-let file = null, captured = null, context = null, preparing = null, node = null, delay = null, latency = 0, dry = 0, worker = null;
+let file = null, captured = null, captures = 0, context = null, preparing = null, node = null, delay = null, latency = 0, dry = 0, worker = null;
 
 function say(text, tone = "good") {
   find("status").textContent = text;
@@ -61,7 +61,8 @@ async function open() {
 
 /** Begin a transform with the chosen profile, in place of the one before. */
 async function transform() {
-  const processorOptions = await designOf(context.sampleRate), before = node;
+  const chosen = profile.value, processorOptions = await designOf(context.sampleRate), before = node;
+  if (profile.value !== chosen) return node || transform(); // with a node, the later choice has its own call
   node = new AudioWorkletNode(context, "vibration", { outputChannelCount: [1], channelCount: 2, channelCountMode: "explicit", processorOptions });
   node.port.onmessage = ({ data }) => show(data);
   node.onprocessorerror = () => say("The vibration has stopped: this browser is too old, or has too little memory.", "bad");
@@ -89,15 +90,14 @@ function show(data) {
 }
 
 async function choose(chosen, name = chosen.name) {
-  if (!chosen.size) throw new Error(`${name} is empty (0 bytes). Choose a file with sound.`);
   endCapture();
   cancel();
   forget();
-  file = chosen;
+  file = chosen.size ? chosen : null;
   URL.revokeObjectURL(player.src);
-  player.src = URL.createObjectURL(chosen);
-  player.hidden = false;
-  find("make").disabled = false;
+  player.src = file ? URL.createObjectURL(file) : "";
+  player.hidden = find("make").disabled = !file;
+  if (!file) throw new Error(`${name} is empty (0 bytes). Choose a file with sound.`);
   say(`${name} is chosen. Play it, or make its vibration as a file.`);
 }
 
@@ -113,23 +113,26 @@ async function take({ target }) {
   const kind = target.dataset.capture;
   endCapture();
   player.pause();
-  const taken = await capture(kind, () => {
+  const number = captures, taken = await capture(kind, () => {
     if (captured !== taken) return;
     endCapture();
     say(`${titled(taken.label)} has ended or was unplugged. Choose a sound.`, "bad");
   });
+  if (number !== captures) return taken.stop(); // another sound was chosen meanwhile
   captured = taken;
-  await prepare().catch((error) => { endCapture(); throw error; });
-  captured.source = new MediaStreamAudioSourceNode(context, { mediaStream: captured.stream });
-  captured.source.connect(node);
+  await prepare().catch((error) => { if (captured === taken) endCapture(); throw error; });
+  if (captured !== taken) return; // it was stopped meanwhile
+  taken.source = new MediaStreamAudioSourceNode(context, { mediaStream: taken.stream });
+  taken.source.connect(node);
   find("stop").hidden = false;
-  say(`${titled(captured.label || kind)} becomes vibration.`);
+  say(`${titled(taken.label || kind)} becomes vibration.`);
 }
 
 function endCapture() {
   captured?.stop();
   captured?.source?.disconnect();
   captured = null;
+  captures += 1;
   find("stop").hidden = true;
 }
 
@@ -166,6 +169,7 @@ async function useOutput() {
   await second.open(chosen, context).catch((error) => { throw new Error(`${option.textContent} cannot be opened: ${error.message}`); });
   output.value = chosen;
   second.setGain(strength());
+  tellPower();
   join();
   say(`Vibration plays on ${option.textContent}.`);
 }
@@ -195,6 +199,12 @@ function leave() {
   if (delay) delay.delayTime.value = 0;
   dry = 0;
   find("apart").textContent = ONLY_SHOWN;
+  tellPower();
+}
+
+function tellPower() {
+  const on = second.context ? "Vibration is on" : "Vibration is only shown";
+  find("power-word").textContent = find("power").getAttribute("aria-checked") === "true" ? on : "Vibration is off";
 }
 
 function gone() {
@@ -214,7 +224,8 @@ async function make() {
   find("make").textContent = "Cancel";
   say(`The vibration of ${name} is being made.`, "wait");
   try {
-    const sound = await wholeSound(file), needed = await designOf(sound.samplerate);
+    const sound = await wholeSound(file).catch((error) => { find("make").disabled ||= worker === mine; throw error; });
+    const needed = await designOf(sound.samplerate);
     if (worker !== mine) return; // cancelled meanwhile
     const { wav, seconds, speed } = await rendered(mine, { ...needed, ...sound });
     vibration.href = URL.createObjectURL(wav);
@@ -292,9 +303,8 @@ function begin() {
   };
   find("strength").oninput = level;
   find("power").onclick = ({ currentTarget: button }) => {
-    const on = button.getAttribute("aria-checked") !== "true";
-    button.setAttribute("aria-checked", on);
-    find("power-word").textContent = on ? "Vibration is on" : "Vibration is off";
+    button.setAttribute("aria-checked", button.getAttribute("aria-checked") !== "true");
+    tellPower();
     level();
   };
   for (const kind of ["dragover", "dragleave", "drop"]) {
