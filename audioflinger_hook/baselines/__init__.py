@@ -6,8 +6,6 @@ Each module has a class `Method`, a subclass of `stages.Baseline`.
 from audioflinger_hook.baselines import band_pass, centroid, envelope, octave_fold
 from audioflinger_hook.baselines.stages import Baseline
 
-__all__ = ["BASELINES", "Baseline"]
-
 BASELINES: dict[str, type[Baseline]] = {
     "band-pass": band_pass.Method,
     "envelope": envelope.Method,

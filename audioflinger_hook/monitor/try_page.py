@@ -82,8 +82,8 @@ def _offline() -> bytes:
     digest = hashlib.sha256(__version__.encode() + _static(f"try/{OFFLINE}"))
     for name, content in contents.items():
         digest.update(b"" if name.endswith((OFFLINE, ".wav")) else content())
-    for name in SCENE_CODE:  # the scenes themselves take 1 s
-        digest.update(files("audioflinger_hook.scenes").joinpath(name).read_bytes())
+    code = files("audioflinger_hook.scenes")  # the scenes themselves take 1 s
+    digest.update(b"".join(code.joinpath(name).read_bytes() for name in SCENE_CODE))
     lists = {
         "FILES": ["./", *first_files()],
         "MORE": [name for name in contents if name not in (*first_files(), OFFLINE)],

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from audioflinger_hook import __version__
 from audioflinger_hook.study.design import BUILT_IN, DESIGN, Design, Question
 from audioflinger_hook.study.measure import Answered, Curve, count, estimate, measure, p_value
 from audioflinger_hook.study.records import DATA, TABLE, exclusion, write_table
@@ -31,9 +30,8 @@ def as_document(design: Design, registered: str) -> dict[str, Any]:
         told = "; ".join(sorted({*why.values()})) or "nobody began"
         raise UsageError(f"{design.folder} has no finished participant ({told}); run the study")
     begun = min(one.header["begun"] for one in people.values())
-    versions = {"haptic-cushion": __version__, "transform": str(TRANSFORM_VERSION)}
-    versions |= {"Python": platform.python_version()}
-    versions |= {name: version(name) for name in ("numpy", "scipy")}
+    versions = {"transform": str(TRANSFORM_VERSION), "Python": platform.python_version()}
+    versions |= {name: version(name) for name in ("haptic-cushion", "numpy", "scipy")}
     for path in (design.folder / DESIGN, design.folder / DATA / TABLE):
         versions[f"SHA-256 of {path.name}"] = sha256(path.read_bytes()).hexdigest()
     questions = {}

@@ -3,13 +3,14 @@
 import numpy as np
 
 from audioflinger_hook import baselines
+from audioflinger_hook.baselines.stages import Baseline
 from audioflinger_hook.transform import FloatArray
 from tools.bench.workbench import Subject
 
 HZ, AMPLITUDE = 80.0, 0.1
 
 
-class Constant(baselines.Baseline):
+class Constant(Baseline):
     """A sine of 80 Hz with constant amplitude, which ignores the sound."""
 
     def __init__(self, samplerate: int, channels: int) -> None:
