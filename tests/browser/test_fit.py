@@ -63,21 +63,25 @@ def test_clicks_on_the_page_give_a_fit_and_kill_9_loses_none(tmp_path):
         recording(server, "haptic.monitor", tmp_path / "felt") as felt,
     ):
         env = {**environment(server), "XDG_STATE_HOME": str(tmp_path)}
-        fit = Fit(env, chromium)
-        for name in ["Stronger"] * 6 + ["Clear and comfortable"]:
-            fit.click("How strong", name)
+
+        def opened():
+            fit = Fit(env, chromium)
+            for name in ["Stronger"] * 6 + ["Clear and comfortable"]:
+                fit.click("How strong", name)
+            return fit
 
         def answer(count):
             for _ in range(count):
                 fit.page.locator("h1", has_text="Which vibration").wait_for()
                 fit.click("Which vibration", {b"1": "First", b"2": "Second"}[key_for(felt)])
 
+        fit = opened()
         answer(KILLED_AFTER)
         record = tmp_path / "cushion/fit/sink-haptic.jsonl"
         wait_for(lambda: record.read_bytes().count(b"\n") > KILLED_AFTER, "the last answer")
         fit.close()
         kept = record.read_bytes()
-        fit = Fit(env, chromium)
+        fit = opened()  # the level starts low again
         answer(TRIALS - KILLED_AFTER - 1)
         fit.page.locator("h1", has_text="Which vibration").wait_for()
         fit.page.get_by_role("button", name={b"1": "First", b"2": "Second"}[key_for(felt)]).click()

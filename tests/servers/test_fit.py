@@ -52,15 +52,19 @@ def answered(terminal, felt, count):
         terminal.press(key_for(felt))
 
 
+def choose_level(terminal, *keys):
+    for key in keys:
+        terminal.expect("a again)")
+        terminal.press(key)
+
+
 def test_a_person_at_the_terminal_is_fitted_and_kill_9_loses_no_answer(pipewire, tmp_path):
     env = {**environment(pipewire), "XDG_STATE_HOME": str(tmp_path)}
     record = tmp_path / "cushion/fit/sink-haptic.jsonl"
     asked = ("fit", "--device", "sink:haptic", "--minutes", "1", "--seed", "1", "--json")
     with recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt:
         with Terminal(*asked, env=env) as terminal:
-            for key in (b"+",) * 6 + (b"a", b"c"):
-                terminal.expect("a again)")
-                terminal.press(key)
+            choose_level(terminal, *(b"+",) * 6, b"a", b"c")
             terminal.expect("d don't know)")
             terminal.press(b"a")
             answered(terminal, felt, 7)
@@ -69,6 +73,7 @@ def test_a_person_at_the_terminal_is_fitted_and_kill_9_loses_no_answer(pipewire,
             terminal.wait()
         kept = record.read_bytes()
         with Terminal(*asked, env=env) as terminal:
+            choose_level(terminal, *(b"+",) * 6, b"c")  # it starts low again
             answered(terminal, felt, 13)
             assert terminal.wait() == 0
     done = json.loads(terminal.shown[terminal.shown.index("{\n") :].rpartition("}")[0] + "}")
