@@ -84,14 +84,14 @@ class Curve:
     def joined(self, given: FloatArray, people: int = 1) -> FloatArray:
         """Return means of place and width, (2, ...), if all people have one width and lapse.
 
-        given: means over people of what `given_width` returns, (2, ..., cells).
+        given: results of `given_width`, averaged over people, (2, ..., cells).
         """
         weight = softmax(people * given[0], axis=-1)
         place = (weight * given[1]).sum(axis=-1)
         return np.stack([place, np.exp(weight @ self._log_widths)])
 
     def next_x(self, counts: FloatArray) -> float:
-        """Return the place at which the next answer tells most. counts: of one kind, (xs, 2)."""
+        """Return the place of the most informative next trial. counts: of one kind, (xs, 2)."""
         weight = softmax(np.tensordot(counts, self._log_p, 2))
         p = np.tensordot(self._p, weight, 2)  # (xs, 2)
         told = np.tensordot(self._entropy, weight, 2) - xlogy(p, p)

@@ -24,9 +24,9 @@ UNFINISHED = "did not finish"
 
 
 def register(design: Design, now: str, tell: Callable[[str], object]) -> dict[str, Any]:
-    """Return the preregistration: SHA-256 of all files of the design; write and tell a new one.
+    """Return the preregistration: SHA-256 of all files of the design; write a new one.
 
-    now: time in UTC. UsageError: a file has changed since the first participant.
+    now: in UTC. tell: prints a line. UsageError: a file has changed since the first participant.
     """
     folder, path = design.folder, design.folder / PREREGISTRATION
     files = {folder / DESIGN}

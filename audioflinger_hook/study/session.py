@@ -74,7 +74,7 @@ class Script:
         self._counts = {name: count([], curve.axes) for name, curve in self._curves.items()}
 
     def next_trial(self) -> tuple[dict[str, Any], dict[str, Any]] | None:
-        """Return the next trial, at the level that tells most, twice; None at the end."""
+        """Return the next trial, at its most informative level, twice; None at the end."""
         if not self._left:
             return None
         row = self._left[-1]
@@ -109,7 +109,7 @@ class Participant:
         self.read("Pause", "Take a pause. Go on when you are ready.", ("on", "Go on", "1"))
 
     def answer(self, row: Mapping[str, Any]) -> dict[str, Any]:
-        """Play all intervals, as often as the person asks; return what was played and answered."""
+        """Play all intervals, as often as the person asks; return columns of playing and answer."""
         question, made = self._stimuli.design.questions[row["question"]], self._stimuli.of(row)
         kind, title = question.kind, question.ask or question.kind["ask"]
         about = {"done": row["trial"] - 1, "total": self._total, "practice": row["practice"]}

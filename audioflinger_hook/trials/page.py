@@ -45,7 +45,7 @@ class Answer(NamedTuple):
 
 
 class StoppedError(LostError):
-    """The person has ended the session. What was recorded is valid."""
+    """The person has ended the session. The record stays valid."""
 
 
 class PageAnswers:
@@ -134,7 +134,7 @@ class PageAnswers:
             self._on_stop()
 
     async def run(self) -> None:
-        """Tell the address, and pause the session while the page is closed."""
+        """Announce the address, and pause the session while the page is closed."""
         pages = 0
         self._invite()
         while True:
