@@ -72,10 +72,7 @@ class Question(SimpleNamespace):
 
 @dataclass(frozen=True)
 class Design:
-    """A study. Its parts have the keys of their tables in `design.toml`.
-
-    digest: SHA-256 of the bytes of `design.toml`.
-    """
+    """A study, with the keys of the tables in `design.toml`. digest: SHA-256 of its bytes."""
 
     folder: Path
     digest: str
@@ -161,8 +158,11 @@ def _problems(
     keys, good = schema["properties"], dict[str, Any]()
     for key in row.keys() - keys.keys():
         yield key, "is an unknown key", nearest(key, keys)
-    paradigm = PARADIGMS.get(str(row.get("paradigm")), {"hidden": ()})
-    more: dict[str, Any] = {"conditions": {"items": {"enum": [*methods]}}}
+    paradigm = PARADIGMS.get(str(row.get("paradigm")), {"hidden": (), "varies": "nothing"})
+    # A level or a delay cannot be judged without vibration; `none` is the other interval.
+    varies = paradigm["varies"] != "nothing"
+    judged = [name for name, how in methods.items() if not varies or NONE not in (name, how)]
+    more: dict[str, Any] = {"conditions": {"items": {"enum": judged}}}
     for key, about in keys.items():
         wanted = about | more.get(key, {})
         if key in row and (problem := why_not(wanted, row[key])):
@@ -180,7 +180,7 @@ def _problems(
             yield "stimuli", f"has {sound!r}, which is not such a file", ""
         for name in good.get("conditions", ()):
             path = vibration_file(folder, methods[name], sound)
-            if path and not path.is_file():
+            if path and not seconds(path):
                 yield "conditions", f"has {name!r}, which needs the file {path}", ""
 
 

@@ -128,6 +128,25 @@ def test_only_a_later_name_is_a_duplicate(tmp_path):
     assert [key for key, text in found if "duplicate" in text] == ["condition[2].name"]
 
 
+@pytest.mark.parametrize("paradigm", ["synchrony", "threshold", "equal"])
+@pytest.mark.parametrize(
+    "pairs",
+    [
+        [('method = "band-pass"', 'method = "none"')],  # a condition without vibration
+        [('name = "a"', 'name = "none"'), ('["a"', '["none"')],  # as the other interval is called
+    ],
+)
+def test_a_level_or_delay_of_nothing_cannot_be_judged(tmp_path, paradigm, pairs):
+    found = changed(tmp_path, *pairs, paradigms=[paradigm])
+    assert "question[1].conditions" in [key for key, _ in found]
+    assert "question[1].conditions" not in [key for key, _ in changed(tmp_path, *pairs)]
+
+
+def test_a_file_name_that_is_too_long_is_a_mistake(tmp_path):
+    found = changed(tmp_path, ('method = "band-pass"', f'method = "{"x" * 300}.wav"'))
+    assert next(key for key, _ in found) == "question[1].conditions"
+
+
 @pytest.mark.parametrize("broken", ['title = "t', "title = t", 'title = """t"'])
 def test_beside_an_error_of_syntax_no_other_mistake_is_told(tmp_path, broken):
     found = changed(tmp_path, ('title = "t"', broken))
