@@ -67,14 +67,11 @@ def test_a_coil_with_eddy_currents_is_identified_and_its_file_is_used_at_once(se
         assert getattr(found.actuator, name) == pytest.approx(getattr(eddy, name), rel=0.02)
     assert found.amplifier.gain == pytest.approx(5.0, rel=0.01)
     assert found.amplifier.low_cut_hz == pytest.approx(3.0, rel=0.05)
-    values = json.loads(done.stdout)["values"].items()
-    held = [
-        one["interval"][0]
-        <= getattr(getattr(true, name.split(".")[0]), name.split(".")[1])
-        <= one["interval"][1]
-        for name, one in values
-    ]
-    assert sum(held) >= len(held) - 2  # of ten intervals of 95 %, three miss once in 87 runs
+    for name, one in json.loads(done.stdout)["values"].items():
+        stage, field = name.split(".")
+        value, (low, high) = getattr(getattr(true, stage), field), one["interval"]
+        # volts are straight lines between samples on this bench, which moves L and R2 by 0.07 %
+        assert low - 1e-3 * value <= value <= high + 1e-3 * value, name
 
 
 def test_where_nothing_hangs_on_it_there_is_no_signal_and_no_file(server, tmp_path):
