@@ -8,6 +8,7 @@ from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -32,6 +33,11 @@ class Server(ThreadingHTTPServer):
     """Serves a browser that opens many connections at once."""
 
     request_queue_size = 64
+
+    def handle_error(self, *asked: Any) -> None:
+        """Say nothing of a browser that ends a download; it may do so."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(*asked)
 
 
 def server(folder: Path, port: int) -> Server:

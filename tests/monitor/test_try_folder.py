@@ -57,4 +57,9 @@ def test_the_folder_is_served_with_media_types_and_a_taken_port_is_reported(tmp_
         options = ["--out", str(tmp_path), "--serve", "--port", str(serving.server_port)]
         assert try_page.main(options) == 1
         assert "give another --port" in capsys.readouterr().err
+        try:
+            raise BrokenPipeError
+        except BrokenPipeError:
+            serving.handle_error(None, None)  # a browser that ends a download
         serving.shutdown()
+    assert capsys.readouterr().err == ""

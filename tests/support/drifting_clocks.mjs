@@ -11,7 +11,7 @@ const { ClockLock } = await load("output.js");
 
 const QUANTUM = 128, PERIOD = 256, SECONDS = 120, DELAY_S = 0.06, found = {};
 for (const ppm of [-300, -20, 0, 100, 300]) {
-  const player = new Player({ processorOptions: { samplerate: 48000 } }), lock = new ClockLock(), from = {};
+  const player = new Player({ processorOptions: { samplerate: 48000, lead: 1920 } }), lock = new ClockLock(), from = {};
   player.port.onmessage({ data: { from } });
   let sent = 0, worst = 0, step = { ppm: 0 }, next = 0;
   for (let block = 0; block < (SECONDS * 48000) / QUANTUM; block++) {

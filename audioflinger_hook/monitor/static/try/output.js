@@ -1,6 +1,6 @@
 // The second output: vibration on a device of its own, whose clock is kept beside the clock of the sound.
 
-const FOLLOW_S = 2, PPM_MAX = 5000, JUMP_MS = 5, REST = 20, KEPT = 199, FEW = 40, PAUSED_MS = 8, WATCH_MS = 20, SURE = 600, LONG = 9999, LOOK_MS = 250, ROUTE_MS = 40;
+const FOLLOW_S = 2, PPM_MAX = 5000, JUMP_MS = 5, REST = 20, KEPT = 199, FEW = 40, PAUSED_MS = 8, WATCH_MS = 20, SURE = 600, LONG = 9999, LOOK_MS = 250, ROUTE_MS = 40, MARGIN_S = 0.02;
 const DEFAULTS = ["default", "communications", ""]; // never felt by accident: these may be the speakers
 
 export const canChoose = () => "setSinkId" in AudioContext.prototype || "setSinkId" in HTMLMediaElement.prototype;
@@ -64,8 +64,8 @@ export class SecondOutput {
   /** Open a device. An Error says why it cannot be. sound: AudioContext of the sound. */
   async open(deviceId, sound) {
     this.close();
-    const direct = "setSinkId" in AudioContext.prototype, context = new AudioContext({ latencyHint: "interactive" });
-    const element = direct ? null : new Audio();
+    const direct = "setSinkId" in AudioContext.prototype, block = sound.baseLatency || 0.01, context = new AudioContext({ latencyHint: block });
+    const element = direct ? null : new Audio(), lead = 2 * block + MARGIN_S; // each context may ask for a whole block at once
     try {
       await (element ?? context).setSinkId(deviceId);
       await context.audioWorklet.addModule(new URL("player.js", import.meta.url));
@@ -73,11 +73,11 @@ export class SecondOutput {
       context.close();
       throw error;
     }
-    const node = new AudioWorkletNode(context, "player", { numberOfInputs: 0, outputChannelCount: [1], processorOptions: { samplerate: sound.sampleRate } });
+    const node = new AudioWorkletNode(context, "player", { numberOfInputs: 0, outputChannelCount: [1], processorOptions: { samplerate: sound.sampleRate, lead: lead * sound.sampleRate } });
     const level = new GainNode(context, { gain: 0 }), end = direct ? context.destination : new MediaStreamAudioDestinationNode(context);
     node.connect(level).connect(end);
     if (element) [element.srcObject, element.autoplay] = [end.stream, true];
-    Object.assign(this, { context, sound, node, level, element, deviceId, lock: new ClockLock(), clocks: [new Clock(), new Clock()], latest: null });
+    Object.assign(this, { context, sound, lead, node, level, element, deviceId, lock: new ClockLock(), clocks: [new Clock(), new Clock()], latest: null });
     node.port.onmessage = ({ data }) => { this.latest = data; };
     context.onerror = () => this.told({ gone: true });
     await context.resume();
@@ -100,7 +100,7 @@ export class SecondOutput {
   /** s by which the sound must be held back, so that the vibration can come with it. */
   wanted(latency) {
     const ahead = (this.context.outputLatency || 0) - (this.sound.outputLatency || 0);
-    return Math.max(0, latency + 0.06 + ahead + (this.element ? ROUTE_MS / 1000 : 0));
+    return Math.max(0, latency + this.lead + MARGIN_S + ahead + (this.element ? ROUTE_MS / 1000 : 0));
   }
 
   watch() {

@@ -1,12 +1,12 @@
 // Plays vibration on another clock: a buffer between two audio contexts, read at a rate that the page sets.
 
-const ROOM = 1 << 16, LEAD_S = 0.04, TOLD_FRAMES = 2048;
+const ROOM = 1 << 16, TOLD_FRAMES = 2048;
 
 class Player extends AudioWorkletProcessor {
-  constructor({ processorOptions: { samplerate } }) {
+  constructor({ processorOptions: { samplerate, lead } }) {
     super();
     // position: of the next output frame, in frames of the sound's context
-    Object.assign(this, { ring: new Float32Array(ROOM), lead: LEAD_S * samplerate, written: 0, position: 0, waits: true, told: 0, dry: 0 });
+    Object.assign(this, { ring: new Float32Array(ROOM), lead, written: 0, position: 0, waits: true, told: 0, dry: 0 });
     this.nominal = this.step = samplerate / sampleRate;
     this.port.onmessage = ({ data: { from, step, jump } }) => {
       if (from) from.onmessage = ({ data }) => this.take(data);

@@ -46,15 +46,15 @@ async function prepare() {
 }
 
 async function open() {
-  context ??= new AudioContext({ latencyHint: "interactive" });
+  const latencyHint = captured ? "interactive" : "playback"; // sound from a file can wait, so that no interruption is heard
+  context ??= new AudioContext({ latencyHint });
   if (!RATES.includes(context.sampleRate)) {
     context.close();
-    context = new AudioContext({ latencyHint: "interactive", sampleRate: RATE });
+    context = new AudioContext({ latencyHint, sampleRate: RATE });
   }
   await context.audioWorklet.addModule(new URL("vibration.js", import.meta.url));
   delay ??= new DelayNode(context, { maxDelayTime: 1 });
-  player.source ??= new MediaElementAudioSourceNode(context, { mediaElement: player });
-  player.source.connect(delay).connect(context.destination); // again after a failure: no second connection
+  (player.source ??= new MediaElementAudioSourceNode(context, { mediaElement: player })).connect(delay).connect(context.destination);
   await transform();
 }
 
