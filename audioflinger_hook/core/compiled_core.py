@@ -144,8 +144,7 @@ class Core:
         """
         kept, rows = self._glides, self._library.core_glides_max(self._core, frames)
         self._glides = np.empty((rows, GLIDE_NUMBERS))
-        written = self._library.core_record(self._core, self._glides.ctypes.data, rows)
-        return kept[:written]
+        return kept[: self._library.core_record(self._core, self._glides.ctypes.data, rows)]
 
     def reset(self, *, doses_too: bool = False) -> None:
         """Reset the stream; if `doses_too` is set, also temperatures, doses and counts."""

@@ -21,7 +21,7 @@
     ENTRY(protection.hottest_k) ENTRY(protection.ambient_c) ENTRY(protection.resistance_ohm)       \
     ENTRY(protection.resistance_per_k) ENTRY(protection.coil_k_per_w)                              \
     ENTRY(protection.coil_j_per_k) ENTRY(protection.approach_s)                                    \
-    ENTRY(exposure.m_s2_per_full_scale) ENTRY(exposure.period_s) ENTRY(exposure.running_share)     \
+    ENTRY(exposure.volts_per_full_scale) ENTRY(exposure.period_s) ENTRY(exposure.running_share)     \
     ENTRY(exposure.cap_a8_m_s2) ENTRY(exposure.cap_vdv)
 
 /* Tables and their lengths. d: the drive; p: its protection; e: its exposure. */

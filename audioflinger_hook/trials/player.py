@@ -232,6 +232,7 @@ def opened(device: str, clock: Callable[[], float]) -> Iterator[DaemonPlayer]:
     wanted = str(parse_device(device)) if device else ""
     command = [*own_command(), "run", *(["--device", wanted] if wanted else [])]
     with ExitStack() as stack:
+        child = None
         try:
             ask_status(ANSWER_S, clock)
         except NotFoundError:
@@ -245,9 +246,11 @@ def opened(device: str, clock: Callable[[], float]) -> Iterator[DaemonPlayer]:
             stack.callback(child.terminate)
         filter_stderr()
         player = stack.enter_context(closing(DaemonPlayer(clock)))
-        if not player.wait(BEGINS_S):
-            told = f"the daemon plays no trials: {player.why_not}"
-            raise LostError(f"{told}; see what `{shlex.join(command)}` says")
+        late_s = clock() + BEGINS_S
+        while not player.wait(POLL_S):
+            if clock() > late_s or (child and child.poll() is not None):
+                told = f"the daemon plays no trials: {player.why_not}"
+                raise LostError(f"{told}; see what `{shlex.join(command)}` says")
         address = player.status().device.address
         if wanted and address != wanted:
             told = f"the daemon plays to {address}, not to {wanted}"

@@ -40,8 +40,7 @@ class TrialRecord(Rows, AbstractContextManager["TrialRecord"]):
     """An append-only file of trials, which one process may have open.
 
     Its first line is the header {"design": SHA-256, ...}. Half a line, which kill -9 leaves, is
-    removed. design: `design_digest`. header: further entries of a new file's header. fresh: whether
-    earlier trials are dropped. UsageError:
+    removed. design: `design_digest`. header: of a new file. fresh: drop earlier trials. UsageError:
     the file is damaged, of another design, in use, or cannot be opened. WriteError: disk full.
     """
 

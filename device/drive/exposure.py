@@ -175,7 +175,7 @@ def exposure_records(rig: Rig, samplerate: int, cap: str = "off") -> Records:
         "motion_fir": motion_fir,
         "weighting.sections": weighting,
         "above.sections": np.asarray(above),
-        "m_s2_per_full_scale": rig.dac.full_scale_v * rig.amplifier.gain,
+        "volts_per_full_scale": rig.dac.full_scale_v * rig.amplifier.gain,
         "period_s": 1.0 / rate,
         "running_share": -math.expm1(-1.0 / rate / RUNNING_S),
         "cap_a8_m_s2": a8_m_s2,

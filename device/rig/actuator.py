@@ -42,8 +42,7 @@ def state_space(
         [[0.0, w0, 0.0], [-w0, -c / m, coupling], [0.0, -coupling, -resistance / inductance]]
     )
     x, v, i = np.diag(1.0 / np.sqrt([p.stiffness_n_per_m, m, inductance]))
-    rows = x, v, i, rate[1] / np.sqrt(m)
-    return rate, i, dict(zip(QUANTITIES, rows, strict=True))
+    return rate, i, dict(zip(QUANTITIES, (x, v, i, rate[1] / np.sqrt(m)), strict=True))
 
 
 def first_order_hold(

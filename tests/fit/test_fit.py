@@ -20,8 +20,9 @@ from audioflinger_hook.fit.session import FitSession, FittedPerson, tones
 from audioflinger_hook.service.status import ExposureFigures
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.mapping import VibrationMapping
+from audioflinger_hook.trials.player import opened
 from audioflinger_hook.trials.record import Rows, TrialRecord, run
-from device.errors import UsageError, WriteError
+from device.errors import LostError, UsageError, WriteError
 from tests.support.commands import call, document, refused, start
 from tests.support.data import table
 from tests.support.signals import tone
@@ -281,3 +282,12 @@ def test_a_fit_ends_at_half_of_an_exposure_action_value():
         FittedPerson(person_of(player, Answers()))
     assert player.played == []
     assert len(tones((25.0, -20.0))) == round(0.7 * RATE_HZ)
+
+
+def test_nobody_waits_for_a_daemon_that_has_ended(state, monkeypatch):
+    looks = []
+    monkeypatch.setenv("PULSE_SERVER", "unix:/nowhere")
+    with pytest.raises(LostError, match=r"see what `.* run --device sink:x` says"):
+        with opened("sink:x", lambda: float(looks.append(0) or 0.0)):
+            pass
+    assert len(looks) < 200  # of 10 in a second

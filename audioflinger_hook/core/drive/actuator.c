@@ -68,7 +68,7 @@ static double decimated(const Exposure *e)
 static void accumulate(Exposure *e)
 {
     const ExposureDesign *d = e->design;
-    double moved = cascade_step(&e->motion, d->motion, decimated(e) * d->m_s2_per_full_scale);
+    double moved = cascade_step(&e->motion, d->motion, decimated(e) * d->volts_per_full_scale);
     if (d->motion_taps) {
         memmove(e->recent + 1, e->recent, (d->motion_taps - 1) * sizeof(double));
         e->recent[0] = moved;

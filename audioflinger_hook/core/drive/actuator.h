@@ -17,7 +17,7 @@ typedef struct {
     size_t decimation_taps, motion_taps;
     const double *decimation, *motion_fir; /* coefficients of FIR filters; motion_taps 0: no motion_fir */
     CascadeDesign motion, weighting, above; /* above: high-pass at 80 Hz after weighting */
-    double m_s2_per_full_scale; /* despite the name: V at full scale; motion and motion_fir give m/s² per V */
+    double volts_per_full_scale; /* motion and motion_fir give m/s² per V */
     double period_s;            /* sample period of the decimated signal */
     double running_share;       /* weight of a new square in the running mean square */
     double cap_a8_m_s2, cap_vdv; /* largest A(8) and vibration dose value; 0: no cap */
