@@ -285,9 +285,14 @@ def test_a_fit_ends_at_half_of_an_exposure_action_value():
 
 
 def test_nobody_waits_for_a_daemon_that_has_ended(state, monkeypatch):
-    looks = []
+    looks: list[float] = [0.0]
     monkeypatch.setenv("PULSE_SERVER", "unix:/nowhere")
-    with pytest.raises(LostError, match=r"see what `.* run --device sink:x` says"):
-        with opened("sink:x", lambda: float(looks.append(0) or 0.0)):
-            pass
+
+    def clock() -> float:
+        looks.append(0.0)
+        return 0.0
+
+    told = pytest.raises(LostError, match=r"see what `.* run --device sink:x` says")
+    with told, opened("sink:x", clock):
+        pass
     assert len(looks) < 200  # of 10 in a second
