@@ -405,6 +405,7 @@ def test_everyone_can_use_the_page(site, chromium, size, theme, tmp_path):
         assert page.evaluate("axe.run()")["violations"] == []
         assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
         page.click("[data-scene=engine]")
+        says(page, "#status", "plays")
         reached = set()
         for _ in range(30):
             page.keyboard.press("Tab")
