@@ -26,7 +26,7 @@ UNFINISHED = "did not finish"
 def register(design: Design, now: str, tell: Callable[[str], object]) -> dict[str, Any]:
     """Return the preregistration: SHA-256 of all files of the design; write a new one.
 
-    now: in UTC. tell: prints a line. UsageError: a file has changed since the first participant.
+    now: in UTC. tell: shows a line. UsageError: a file has changed since the first participant.
     """
     folder, path = design.folder, design.folder / PREREGISTRATION
     files = {folder / DESIGN}
