@@ -218,8 +218,7 @@ class Engine:
 class SoftFade:
     """Fades the output in or out. A fade-in from silence waits for the first frame that is not 0.
 
-    The output thread calls `apply`. Any thread may set `audible`, and read `position`: 0 (silent)
-    to 1 (full level).
+    The output thread calls `apply`. Any thread may set `audible`, and read `position`: 0 to 1.
     """
 
     def __init__(self, samplerate: int) -> None:

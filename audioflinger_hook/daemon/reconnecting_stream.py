@@ -5,7 +5,7 @@ from typing import Generic, TypeVar
 
 from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.service.state import Cause, StateKeeper
-from device.errors import CushionError
+from device.errors import CushionError, NotFoundError
 from device.server import PulseConnection, StreamGuard
 from device.server.guard import Hold
 from device.stream import CaptureStream, PlaybackStream
@@ -65,6 +65,9 @@ class ReconnectingStream(Generic[StreamT]):
         if self.stream is not None or self._backoff.wait_s(now_s) > 0.0:
             return False
         try:
+            # If an opening fails beside a running stream, PortAudio 19 may end the whole process.
+            if connection is not None and not connection.has_device(device_name):
+                raise NotFoundError(f"the sound server has no device {device_name!r} any more")
             self.stream = make()
             if connection is not None:
                 self.guard = StreamGuard(connection, self.stream, device_name)

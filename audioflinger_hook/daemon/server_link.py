@@ -12,8 +12,7 @@ from device.server.snapshot import Listener
 class ServerLink(Listener):
     """Connection to the server, with a silent fallback sink if `fallback` is True.
 
-    ring: another thread calls it when the server changes or is lost. connection: None while not
-    connected.
+    ring: another thread calls it when the server changes or is lost. connection: None if absent.
     """
 
     def __init__(self, ring: Callable[[], None], *, fallback: bool = True) -> None:

@@ -170,8 +170,7 @@ def frame_of(
     """Return a line `{"frame": ...}` of JSON, and whether the next line may be delayed.
 
     in_memory: whether the line may name the file of levels and partials instead of listing them.
-    level: gain of the vibration, 0 while muted. missed: number of lines that were not sent. Any
-    thread may call it.
+    level: gain of the vibration, 0 while muted. missed: number of unsent lines. For any thread.
     """
     state = supervisor.states.state
     plays = state is DaemonState.RUNNING

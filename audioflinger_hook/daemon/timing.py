@@ -103,8 +103,7 @@ class IdlePolicy:
 class Wake(AbstractContextManager["Wake"]):
     """A wake-up event: `ring` ends the current or next `wait`.
 
-    Any thread or signal handler may call `ring`; several calls count as one. One thread calls
-    `wait`.
+    Any thread or signal handler may call `ring`, repeatedly. One thread calls `wait`.
     """
 
     def __init__(self) -> None:

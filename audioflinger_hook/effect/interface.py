@@ -26,8 +26,7 @@ class Parameter:
     """One parameter with its allowed values.
 
     kind: `bool`, `int`, `float` or `str`. low, high: inclusive range of a number in `unit`.
-    choices: allowed strings; if empty, all strings are allowed. default: None for a read-only
-    parameter.
+    choices: allowed strings; if empty, all strings are allowed. default: None if read-only.
     """
 
     name: str
@@ -73,8 +72,7 @@ ENOSYS = -errno.ENOSYS
 class EffectFlag(IntFlag):
     """Kind of an effect, its place in the chain and the events that it receives.
 
-    Only effects with a VOLUME_* flag receive SET_VOLUME. Only effects with a flag of
-    DEVICE_MASK receive SET_DEVICE.
+    SET_VOLUME needs a VOLUME_* flag; SET_DEVICE needs a flag of DEVICE_MASK.
     """
 
     INSERT = 0x0

@@ -60,8 +60,7 @@ class Written(NamedTuple):
 class WriteTiming:
     """The clock and the lateness of the captured stream, from the capture times of its frames.
 
-    The writing thread calls `add`; any thread may call `expect_jump`. written: None until a frame's
-    capture time is known.
+    The writing thread calls `add`; any thread may call `expect_jump`. written: None until known.
     """
 
     def __init__(self, samplerate: float, block_frames: int) -> None:

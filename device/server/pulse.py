@@ -122,6 +122,11 @@ class PulseConnection(ConnectionThread):
         """Return the names of the server's modules, keyed by index."""
         return {one.index: one.name for one in self._ask(lambda: self._pulse.module_list())}
 
+    def has_device(self, name: str) -> bool:
+        """Return whether the server has a sink or source with this name now."""
+        lists = self._ask(lambda: (*self._pulse.sink_list(), *self._pulse.source_list()))
+        return any(one.name == name for one in lists)
+
     def latencies_s(self) -> dict[str, float]:
         """Return each sink's present latency in seconds, keyed by name. PipeWire reports 0."""
         return {one.name: 1e-6 * one.latency for one in self._ask(lambda: self._pulse.sink_list())}

@@ -76,8 +76,7 @@ class Stream:
     """A sink input, which plays, or a source output, which records. Unknown text is "".
 
     device_index, device_name: None and "" without a device. corked: paused by the application.
-    module: index of the module that made the stream; None for an application's stream. volume_db:
-    relative to 100 %.
+    module: index of the module that made the stream, or None. volume_db: relative to 100 %.
     """
 
     index: int

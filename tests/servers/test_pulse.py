@@ -7,6 +7,8 @@ from typing import Any
 
 import pytest
 
+from audioflinger_hook.daemon.reconnecting_stream import ReconnectingStream
+from audioflinger_hook.service.state import Cause, StateKeeper
 from device.errors import InternalError, LostError, NotFoundError
 from device.server import defaults_check, identity
 from device.server.connection_thread import ANSWER_LIMIT_S
@@ -151,6 +153,14 @@ def test_modules_are_loaded_and_what_is_gone_is_an_error(server, pcms, connectio
     wait_for(lambda: "third" not in server.names("sinks"), "the end of the sink")
     with pytest.raises(NotFoundError):
         connection.load_module("module-that-is-not-there")
+
+
+def test_no_stream_is_opened_on_a_device_that_has_vanished(server, connection):
+    causes = Cause.DEVICE_LOST, Cause.DEVICE_MOVED
+    output = ReconnectingStream[Any]("the output", StateKeeper(0.0), *causes)
+    server.remove("haptic")
+    with pytest.raises(NotFoundError, match="no device 'haptic' any more"):
+        output.open(pytest.fail, connection, "haptic", 0.0)
 
 
 def test_a_killed_server_is_told_and_another_connection_is_made(server, connection, notes):
