@@ -107,9 +107,9 @@ class MovedStreams:
 class DefaultSinkClaim:
     """Makes the virtual sink the default, and detects another choice by the user.
 
-    stable_name: name of the latest default sink that persisted; any thread may set it. settled:
-    whether the virtual sink became the default and no other choice was detected since. contested:
-    whether another program keeps changing the default; then this program leaves it unchanged.
+    stable_name: name of the latest default sink that persisted, or SINK; any thread may set it.
+    settled: whether the virtual sink became the default and no other choice was detected since.
+    contested: whether another program keeps changing the default; this program leaves it then.
     """
 
     def __init__(self, connection: PulseConnection, stable_name: str) -> None:
@@ -127,7 +127,7 @@ class DefaultSinkClaim:
         fit: names of possible targets; such a sink is returned only after it persisted as default.
         """
         if (default := snapshot.default_sink) == SINK:
-            self.settled, self.contested = True, False
+            self.settled, self.contested, self.stable_name = True, False, SINK
         elif snapshot.sink(SINK) is None:
             self.settled = False  # the virtual sink is gone, and the server chose another default
         elif self.settled and default and (default == self.stable_name or default not in fit):

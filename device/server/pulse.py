@@ -62,7 +62,7 @@ class PulseConnection(ConnectionThread):
         self._rested_s = -_SAVED_S
         self._due_s: float | None = None
         self._default_due_s: float | None = None
-        self._default_seen = self._default_reported = ""
+        self._default_seen = ""
         self._check = DefaultsCheck(self._on_outdated)
         super().__init__("pulse")
 
@@ -168,7 +168,6 @@ class PulseConnection(ConnectionThread):
     def _open(self) -> None:
         self._connect()
         self._refresh()
-        self._default_reported = self.latest.default_sink
         self._default_due_s = None
 
     def _connect(self) -> None:
@@ -194,10 +193,8 @@ class PulseConnection(ConnectionThread):
                 continue
             if self._default_due_s is not None and now_s >= self._default_due_s:
                 self._default_due_s = None
-                if self._default_seen != self._default_reported:
-                    self._default_reported = self._default_seen
-                    for listener in tuple(self._listeners):
-                        listener.on_default_sink(self._default_reported)
+                for listener in tuple(self._listeners):
+                    listener.on_default_sink(self._default_seen)
             self._check.check_if_due(now_s, self.latest)
             times_s = (self._due_s, self._default_due_s, self._check.due_s)
             due = [due_s for due_s in times_s if due_s is not None]

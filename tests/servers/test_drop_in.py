@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ from device.errors import NotFoundError, UsageError
 from device.server.drop_in import DropIn
 from device.server.forwarding import SINK, loopbacks
 from device.server.guard import Hold, StreamGuard
-from device.server.identity import find_sink, find_tagged
+from device.server.identity import find_sink
+from device.server.moved_streams import DefaultSinkClaim
 from device.server.pulse import PulseConnection
 from device.units import Float32Array
 from tests.servers.daemons import ROOT, modules_of, program, tone
@@ -272,6 +274,19 @@ def test_the_default_sink_that_a_user_chooses_becomes_the_target(server, connect
         wait_for(lambda: places(connection) == {str(player): "speakers"}, "the player", 2.0)
 
 
+def test_a_default_sink_is_chosen_once_it_has_persisted(server, connection):
+    """Once it was held up, WirePlumber makes the sinks of two requests the default in one go."""
+    server.add_sink("speakers")
+    with dropped_in(connection, "speakers") as drop_in:
+        server.pactl("set-default-sink", "desktop")  # at once the former one
+        wait_for(lambda: drop_in.target_name == "desktop", "the choice")
+    latest, claim = connection.latest, DefaultSinkClaim(connection, "desktop")
+    both = (*latest.sinks, replace(latest.sinks[0], name=SINK))
+    for default in (SINK, "desktop", SINK):
+        seen = replace(latest, default_sink=default, sinks=both)
+        assert claim.detect_choice(seen, 0.0, ["desktop"]) is None
+
+
 def test_the_haptic_sink_is_no_target_and_our_own_stream_stays_on_it(server, connection, pcms):
     stream = open_output(pcms)
     guard = StreamGuard(connection, stream, "haptic")
@@ -284,12 +299,7 @@ def test_the_haptic_sink_is_no_target_and_our_own_stream_stays_on_it(server, con
         wait_for_place(connection, player, SINK)
         assert drop_in.target_name == "desktop"
         wait_for(lambda: guard.hold is Hold.FREE, "our stream")  # PulseAudio had moved it
-
-    def is_home() -> bool:
-        ours = find_tagged(connection.snapshot().sink_inputs, stream.tag)
-        return ours is not None and ours.device_name == "haptic"
-
-    wait_for(is_home, "our stream on its sink")
+    wait_for_place(connection, os.getpid(), "haptic")
     stream.close()
     guard.release()
 
