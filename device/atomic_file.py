@@ -11,6 +11,7 @@ import fcntl
 import glob
 import os
 import platform
+import secrets
 import shutil
 import stat
 import tempfile
@@ -249,22 +250,27 @@ PREFIX = f".cushion-run-{platform.node()}-"
 @contextmanager
 def temporary_folder(above: str | Path | None = None) -> Iterator[Path]:
     """Yield a new folder, and delete it at the end. above: its parent folder; default: TMPDIR."""
-    while True:
-        folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=above))
-        with suppress(FileNotFoundError):  # another process has just taken it for abandoned
-            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-            with suppress(OSError):  # the file system has no locks
-                fcntl.flock(lock, fcntl.LOCK_EX)
-            if folder.exists():
-                break
-            os.close(lock)
-    owner = os.getpid()
-    try:
+    folder = Path(above or tempfile.gettempdir()) / f"{PREFIX}{secrets.token_hex(8)}"
+    owner, lock = os.getpid(), -1
+    try:  # an interrupt may come at any moment, also in `mkdir` or in `rmtree`
+        while lock < 0:
+            folder.mkdir(0o700)
+            with suppress(FileNotFoundError):  # another process has just taken it for abandoned
+                lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+                with suppress(OSError):  # the file system has no locks
+                    fcntl.flock(lock, fcntl.LOCK_EX)
+                if not folder.exists():
+                    os.close(lock)
+                    lock = -1
         yield folder
     finally:
         if os.getpid() == owner:  # not in a fork of this process
-            shutil.rmtree(folder, ignore_errors=True)
-        os.close(lock)
+            try:
+                shutil.rmtree(folder, ignore_errors=True)
+            finally:
+                shutil.rmtree(folder, ignore_errors=True)
+        if lock >= 0:
+            os.close(lock)
 
 
 def delete_abandoned_folders(above: Path | None = None) -> None:

@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache, partial
 from itertools import islice
-from multiprocessing import connection, forkserver
+from multiprocessing import connection, forkserver, resource_tracker
 from pathlib import Path
 from types import FrameType
 from typing import Any, Self, TypeVar
@@ -140,9 +140,12 @@ class LocalWorkers(Place):
         if not is_fork:
             multiprocessing.get_context("forkserver").set_forkserver_preload([self._preload])
             _prepare_sockets()
-            # SIGHUP must end only this process, which then ends the forkserver and the workers.
-            before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGHUP,))
+            # A signal must end only this process, which then ends the workers and the forkserver.
+            ends = signal.SIGHUP, signal.SIGTERM
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, ends)
             try:
+                resource_tracker.ensure_running()  # this unblocks SIGTERM
+                signal.pthread_sigmask(signal.SIG_BLOCK, ends)
                 forkserver.ensure_running()
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
@@ -184,6 +187,7 @@ def _begin_worker(shares: MutableSequence[float]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a fork has the handler of its parent
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGTERM,))  # the forkserver blocks it
     repeat_lost_interruptions()
     respect_memory_limit()
 
@@ -236,8 +240,7 @@ class Rendered:
 def targets_in(folder: Path, sources: Sequence[Path]) -> list[Path]:
     """Return the target of each file: a .wav file of the same name in the folder.
 
-    UsageError: there is no such folder, two targets are the same, or a target would replace a
-    source.
+    UsageError: no such folder, two equal targets, or a target that would replace a source.
     """
     if not folder.is_dir():
         what = "is not a folder" if folder.exists() else "does not exist"

@@ -66,7 +66,8 @@ def test_a_run_that_is_killed_or_interrupted_loses_nothing_and_the_next_goes_on(
 ):
     out, draw = tmp_path / "out", random.Random(seed)
     run = ("catalogue", sounds, "--out", out, "--workers", 2, "--json")
-    with start(*run, start_new_session=True) as process:
+    quiet = "ignore::ResourceWarning"  # of a file that Python is opening at the interrupt
+    with start(*run, start_new_session=True, warnings=quiet) as process:
         after_some_work(process, out, draw)
         helpers, before = psutil.Process(process.pid).children(recursive=True), finished(out)
         if harm == "workers":
@@ -105,6 +106,22 @@ def test_only_folders_of_this_computer_that_no_process_holds_are_removed(tmp_pat
     with temporary_folder(tmp_path) as held:
         LocalStorage(tmp_path).put("a.wav", lambda path: path.write_bytes(b"a"))
         assert {path.name for path in tmp_path.iterdir()} == {"a.wav", held.name, other}
+
+
+@pytest.mark.parametrize("name", ["mkdir", "rmdir"])
+def test_an_interrupt_while_a_folder_is_made_or_deleted_leaves_none(tmp_path, monkeypatch, name):
+    real = getattr(os, name)
+
+    def interrupted(*arguments, **options):
+        monkeypatch.undo()
+        if name == "mkdir":
+            real(*arguments, **options)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, name, interrupted)
+    with pytest.raises(KeyboardInterrupt), temporary_folder(tmp_path):
+        pass
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("workers", [1, 2])
