@@ -166,8 +166,7 @@ def free_card(
 ) -> tuple[CardDevice, CardSetup]:
     """Return the card as a stream's target, and its best format.
 
-    rate_hz, needed, least: see `choose_setup`. NotFoundError: the card is in use, or has no
-    fitting format.
+    rate_hz, needed, least: see `choose_setup`. NotFoundError: card in use, or no fitting format.
     """
     if refused := why_blocked(device):
         raise NotFoundError(refused)

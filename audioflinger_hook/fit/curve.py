@@ -87,8 +87,7 @@ class CurvePosterior:
     def next_trial(self) -> tuple[float, float]:
         """Return the frequency in Hz and the level, in dB relative to the reference, to try next.
 
-        Of all trials near equality, this one is expected to lower the curve's variance most, if the
-        posterior were one Gaussian.
+        Of all trials near equality, it would lower the variance of a Gaussian posterior most.
         """
         gains = (self._covariance**2).sum(axis=0) / (self.jnd_db**2 + self.uncertainty_db**2)
         index = int(np.argmax(gains))

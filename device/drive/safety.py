@@ -74,8 +74,7 @@ class SafetyBounds:
 def power_to_limit_w(warm: Temperatures, limit_k: float) -> float:
     """Return the power in W with which the coil approaches limit_k, in K above the surroundings.
 
-    The power is the heat flow to the magnet, plus the heat that the coil can still store divided
-    by `APPROACH_S`.
+    It is the heat flow to the magnet, plus the coil's spare heat divided by `APPROACH_S`.
     """
     thermal = warm.parameters
     onward_w = (warm.coil_k - warm.magnet_k) / thermal.coil_k_per_w

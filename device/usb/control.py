@@ -120,8 +120,7 @@ class ControlState:
 def playback_of(device: UsbAudioDevice) -> PlaybackFormat:
     """Return a playback format, preferably with settable volume and mute, else volume, else mute.
 
-    UsbAccessError: the device has no playback format. Other errors: see `read_descriptors` and
-    `parse_whole`.
+    UsbAccessError: no playback format. Other errors: see `read_descriptors` and `parse_whole`.
     """
     configuration = parse_whole(read_descriptors(device)).active(device.configuration)
     formats = playback_formats(configuration) if configuration else ()

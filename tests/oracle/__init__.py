@@ -35,10 +35,6 @@ class Vibration:
     told: list[tuple[int, list[Told]]]
     glides: FloatArray
 
-    def told_at(self, frame: int) -> list[Told]:
-        """Return what the latest hop vibrates once so many frames of sound have come."""
-        return next((told for end, told in reversed(self.told) if end <= frame), [])
-
 
 def settings_of(design: LiveDesign) -> Any:
     """Return all numbers and tables of a design as attributes, and three fields of its own."""

@@ -79,10 +79,7 @@ def link_a_clock(server) -> None:
 
 def test_sound_and_vibration_of_a_trial_coincide(pipewire, noise, tmp_path):
     both = ("desktop", "monitor_FL"), ("haptic", "monitor_FL")
-    with (
-        running(pipewire, engine="native"),
-        player_of() as player,
-    ):
+    with running(pipewire, engine="native"), player_of() as player:
         assert player.wait(10.0)
         with recorded_together(*both, tmp_path, pipewire.environment, RATE_HZ) as path:
             link_a_clock(pipewire)
@@ -107,10 +104,7 @@ def test_the_vibration_waits_for_a_sound_whose_sink_declares_a_delay(
     timed_pipewire.choose_default(SLOW)
     both = (SLOW, "monitor_FL"), ("haptic", "monitor_FL")
     environ = timed_pipewire.environment
-    with (
-        running(timed_pipewire, engine="native") as daemon,
-        player_of() as player,
-    ):
+    with running(timed_pipewire, engine="native") as daemon, player_of() as player:
         assert player.wait(10.0)
         status = daemon.wait(lambda one: one.offset_reason == DECLARED, "the declared delay")
         with recorded_together(*both, tmp_path, environ, RATE_HZ) as path:
@@ -216,10 +210,7 @@ def test_tapped_sound_is_not_felt_during_a_session_and_felt_after_it(pipewire, t
 def test_a_trial_whose_device_is_unplugged_was_not_played_and_is_played_when_it_is_back(
     pipewire, long, noise
 ):
-    with (
-        running(pipewire, engine="native"),
-        player_of() as player,
-    ):
+    with running(pipewire, engine="native"), player_of() as player:
         assert player.wait(10.0)
         unplugging = threading.Timer(
             1.0, pipewire.pactl, ("unload-module", pipewire._modules["haptic"])
@@ -241,10 +232,7 @@ def test_protection_and_exposure_are_in_the_way_of_a_trial(pipewire, long, tmp_p
     soundfile.write(loud, 3.3 * tone(40.0, 1.0)[:, 0], RATE_HZ, subtype="FLOAT")
     soft = tmp_path / "soft.wav"
     soundfile.write(soft, 0.1 * tone(40.0, 1.0)[:, 0], RATE_HZ, subtype="FLOAT")
-    with (
-        running(pipewire, *options, engine="native"),
-        player_of() as player,
-    ):
+    with running(pipewire, *options, engine="native"), player_of() as player:
         assert player.wait(15.0)
         quiet, played, again = (player.play(None, one) for one in (soft, loud, soft))
     print(quiet, played, again)
@@ -259,10 +247,7 @@ def test_protection_and_exposure_are_in_the_way_of_a_trial(pipewire, long, tmp_p
 
 
 def test_without_a_daemon_and_with_the_python_engine_it_says_what_to_do(pipewire):
-    with (
-        player_of() as player,
-        pytest.raises(NotFoundError, match="start one with `cushion run`"),
-    ):
+    with player_of() as player, pytest.raises(NotFoundError, match="start one with `cushion run`"):
         player.status()
     with running(pipewire), player_of() as player:
         assert not player.wait(0.5)

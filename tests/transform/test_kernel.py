@@ -26,7 +26,8 @@ AGREEMENT = 1e-6
 def assert_agree(sound, samplerate, **options):
     """Play a sound through the core, and by the oracle; return the core's vibration."""
     core, oracle = made(sound, samplerate, **options), vibration_of(sound, samplerate, **options)
-    during, told = core.process(sound), oracle.told_at(len(sound))
+    during = core.process(sound)
+    told = next((told for end, told in reversed(oracle.told) if end <= len(sound)), [])
     assert partials_of(core.principal) == pytest.approx(partials_of(told), abs=1e-6)
     whole = np.concatenate((during, core.finish()))
     assert whole.shape == oracle.samples.shape

@@ -96,9 +96,8 @@ class NativeEngine:
     def maintain(self, found: Source | Applications, device: Sink, now_s: float) -> bool:
         """Start, link and check the chain; return whether the chain plays.
 
-        LostError: a chain or the connection was lost; the next call tries again. NotFoundError:
-        streams cannot be linked. UsageError: the device lacks a channel, or a rig is unknown. For
-        other errors, see `Chain`.
+        LostError: a chain or the connection was lost; call it again. NotFoundError: streams cannot
+        be linked. UsageError: missing channel or unknown rig. For other errors, see `Chain`.
         """
         self._faded_s = math.inf
         tap = taps.tap_of(found, self._config.rules, self._config.left_out)
