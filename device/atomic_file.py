@@ -15,6 +15,7 @@ import secrets
 import shutil
 import stat
 import tempfile
+import zlib
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
@@ -244,13 +245,13 @@ def make_private_folder(folder: Path) -> None:
 
 
 # Other computers do not see a lock on a shared folder, so each deletes only its own folders.
-PREFIX = f".cushion-run-{platform.node()}-"
+PREFIX = f".cushion-run-{zlib.crc32(platform.node().encode()):08x}-"
 
 
 @contextmanager
 def temporary_folder(above: str | Path | None = None) -> Iterator[Path]:
     """Yield a new folder, and delete it at the end. above: its parent folder; default: TMPDIR."""
-    folder = Path(above or tempfile.gettempdir()) / f"{PREFIX}{secrets.token_hex(8)}"
+    folder = Path(above or tempfile.gettempdir()) / f"{PREFIX}{secrets.token_urlsafe(6)}"
     owner, lock = os.getpid(), -1
     try:  # an interrupt may come at any moment, also in `mkdir` or in `rmtree`
         while lock < 0:

@@ -29,7 +29,7 @@ T = TypeVar("T")
 
 WORKERS_MAX = 256
 STARTS_MAX, START_S = 20, 0.02  # attempts to start workers, and the time between two attempts
-SOCKET_FOLDER_BYTES = 50  # the path of a socket is shorter than 108 bytes
+SOCKET_FOLDER_BYTES = 44  # the path of a socket in it is 63 bytes longer, and at most 107 bytes
 DIED = "for lack of memory or by a fault of a decoder; look at the file and the machine's log"
 NO_SERVER = "because the process that starts workers was killed from outside; run it again"
 ENDED = "by SIGTERM from outside; run it again"

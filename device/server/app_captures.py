@@ -53,8 +53,7 @@ class AppCaptures(ConnectionThread):
         captures a paused application only after the application continues. on_frames: called by
         this object's thread with read-only frames and their arrival time. on_frames may keep the
         frames, and must neither wait nor open or close captures. NotFoundError: no playing stream
-        has this index. LostError: the connection is lost, or the server refuses the capture or does
-        not answer in time.
+        has this index. LostError: the connection is lost, or the server refuses or is too slow.
         """
         capture = AppCapture(stream_index, samplerate, channels, on_frames, self._close)
         try:

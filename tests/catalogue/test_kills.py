@@ -1,7 +1,6 @@
 import contextlib
 import json
 import os
-import platform
 import random
 import signal
 import subprocess
@@ -101,7 +100,7 @@ def test_a_run_that_is_killed_or_interrupted_loses_nothing_and_the_next_goes_on(
 
 def test_only_folders_of_this_computer_that_no_process_holds_are_removed(tmp_path):
     (tmp_path / f"{PREFIX}dead").mkdir()
-    other = PREFIX.replace(platform.node(), "elsewhere") + "alive"  # with a lock that is not seen
+    other = ".cushion-run-elsewhere-alive"  # with a lock that is not seen
     (tmp_path / other).mkdir()
     with temporary_folder(tmp_path) as held:
         LocalStorage(tmp_path).put("a.wav", lambda path: path.write_bytes(b"a"))
@@ -144,7 +143,8 @@ def test_an_item_that_ends_its_worker_fails_alone_and_is_tried_again_on_request(
 
 def test_a_killed_run_leaves_no_folders_once_another_has_run(sounds, tmp_path):
     run = ("catalogue", sounds, "--out", tmp_path / "out", "--workers", 2)
-    with tempfile.TemporaryDirectory(dir="/tmp") as name:  # short enough for a socket
+    # 44 characters: the longest in which a socket has a place, whatever the computer's name
+    with tempfile.TemporaryDirectory("_" * 28, dir="/tmp") as name:
         for _ in range(2):
             with start(*run, env={"TMPDIR": name}) as process:
                 until(lambda: any(Path(name).glob("*/pymp-*")), process)
