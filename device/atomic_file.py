@@ -6,12 +6,12 @@ file `.NAME.XXXX.part` is written first. This hidden file may remain after kill 
 killed, a later one on the same computer deletes its temporary folders.
 """
 
+import base64
 import errno
 import fcntl
 import glob
 import os
 import platform
-import secrets
 import shutil
 import stat
 import tempfile
@@ -245,24 +245,22 @@ def make_private_folder(folder: Path) -> None:
 
 
 # Other computers do not see a lock on a shared folder, so each deletes only its own folders.
-PREFIX = f".cushion-run-{zlib.crc32(platform.node().encode()):08x}-"
+PREFIX = f".cushion-run-{zlib.crc32(os.fsencode(platform.node())):08x}-"
 
 
 @contextmanager
 def temporary_folder(above: str | Path | None = None) -> Iterator[Path]:
     """Yield a new folder, and delete it at the end. above: its parent folder; default: TMPDIR."""
-    folder = Path(above or tempfile.gettempdir()) / f"{PREFIX}{secrets.token_urlsafe(6)}"
-    owner, lock = os.getpid(), -1
+    parent = Path(above or tempfile.gettempdir())
+    folder, owner, lock = parent / PREFIX, os.getpid(), -1
     try:  # an interrupt may come at any moment, also in `mkdir` or in `rmtree`
-        while lock < 0:
+        while lock < 0 or not folder.exists():  # another process may take it for abandoned
+            folder = parent / (PREFIX + base64.urlsafe_b64encode(os.urandom(6)).decode())
             folder.mkdir(0o700)
-            with suppress(FileNotFoundError):  # another process has just taken it for abandoned
+            with suppress(FileNotFoundError):
                 lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
                 with suppress(OSError):  # the file system has no locks
                     fcntl.flock(lock, fcntl.LOCK_EX)
-                if not folder.exists():
-                    os.close(lock)
-                    lock = -1
         yield folder
     finally:
         if os.getpid() == owner:  # not in a fork of this process

@@ -68,7 +68,7 @@ Terminal=false
 def install_page_entry(program: Sequence[str], environ: Mapping[str, str] = os.environ) -> Path:
     """Write the menu's entry and its icon for this user; return the path of the entry.
 
-    UsageError: a folder is read-only, or the entry is not ours. WriteError: full or failed disk.
+    UsageError: no writable folder, or a foreign entry. WriteError: the disk is full or failed.
     """
     entry, _ = _installed(environ)
     install.replace_own(entry, MARK, page_entry(program))

@@ -109,6 +109,8 @@ class DropIn(Listener):
 
     def on_snapshot(self, snapshot: ServerSnapshot) -> None:
         """Wake the thread."""
+        if snapshot.default_sink == SINK:
+            self._default.stable_name = SINK
         self._wake.set()
 
     def on_default_sink(self, name: str) -> None:

@@ -127,7 +127,7 @@ class DefaultSinkClaim:
         fit: names of possible targets; such a sink is returned only after it persisted as default.
         """
         if (default := snapshot.default_sink) == SINK:
-            self.settled, self.contested, self.stable_name = True, False, SINK
+            self.settled, self.contested = True, False
         elif snapshot.sink(SINK) is None:
             self.settled = False  # the virtual sink is gone, and the server chose another default
         elif self.settled and default and (default == self.stable_name or default not in fit):
