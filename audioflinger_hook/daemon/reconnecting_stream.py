@@ -34,7 +34,7 @@ class ReconnectingStream(Generic[StreamT]):
 
     @property
     def xruns(self) -> int:
-        """Number of late buffers that PortAudio reported, since the first opening."""
+        """Number of buffers that PortAudio reported as late since the first opening."""
         return self._xruns_before + (self.stream.xruns if self.stream else 0)
 
     def check(self, now_s: float) -> None:

@@ -1,4 +1,4 @@
-"""The posterior of a person's sensitivity curve, and the trial that tells most about it.
+"""The posterior of a person's sensitivity curve, and the most informative next trial.
 
 The curve is the sensitivity in dB relative to 70 Hz. Its prior is the sensitivity that
 `strength = "felt"` uses, plus a smooth Gaussian process over log frequency, plus the response of a

@@ -40,6 +40,11 @@ export class Controls {
     this.made.get("offset_ms")?.hint(ms, reason);
   }
 
+  /** Whether the newest value of a control has still to be sent. */
+  get busy() {
+    return [...this.made.values()].some(({ send }) => send.busy);
+  }
+
   /** The labels of unsaved controls. */
   get unsaved() {
     return [...this.made.values()].filter(({ key }) => key.unsaved).map(({ name }) => name);

@@ -123,7 +123,10 @@ find("second").onclick = find("second").onauxclick = (event) => {
 find("power").onclick = () => act({ mute: !settings?.muted });
 find("sync").onclick = () => sync.begin(status.offset_ms ?? 0);
 find("undo").onclick = () => act({ undo: true });
-find("save").onclick = () => act({ save: true });
+find("save").onclick = async () => {
+  while (controls.busy) await new Promise((resume) => setTimeout(resume, 20));
+  act({ save: true });
+};
 find("tone-hz").oninput = ({ target }) => { fill(target); find("tone-value").textContent = `${target.value} Hz`; };
 find("tone").onclick = () => act({ tone: settings?.tone ? null : { hz: Number(find("tone-hz").value) } }, find("tone-error"));
 find("autostart").onchange = ({ target }) => startAtLogin(target.checked);
